@@ -1,0 +1,1 @@
+"""Robot descriptions shipped with the package (package data)."""

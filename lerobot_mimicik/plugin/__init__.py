@@ -1,0 +1,8 @@
+"""What LeRobot imports on start-up: registers the policy and the robots, nothing heavy.
+
+LeRobot finds plugins by distribution name and imports a module of the same name, which is why this
+folder is installed as ``lerobot_policy_mimicik``.
+"""
+
+import lerobot_mimicik.configuration_mimicik  # noqa: F401
+import robot_adapters  # noqa: F401

@@ -1,0 +1,34 @@
+"""Fixtures of the whole suite."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+# The same examples on every run, and no verdict that depends on how busy the machine is.
+settings.register_profile("suite", derandomize=True, deadline=None, database=None)
+settings.load_profile("suite")
+
+_SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Callable[[str], Path]:
+    """A function from a name below `../shared/data` (beside the repository) to its path.
+
+    The recordings there may not be redistributed, so most checkouts lack them: the test that asks is then
+    skipped.
+    """
+
+    def path_of(name: str) -> Path:
+        path = _SHARED_DATA / name
+        if not path.exists():
+            pytest.skip(
+                f"needs the recording {name!r}, which is not part of the repository: {path} does not exist"
+            )
+        return path
+
+    return path_of
