@@ -1,0 +1,1 @@
+"""The `mimicik` command: one module a subcommand."""

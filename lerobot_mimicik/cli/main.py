@@ -1,0 +1,91 @@
+"""The `mimicik` console script: finds the subcommand's module and hands it the rest of the command line.
+
+A subcommand is a module of this package with ``HELP``, one line on what it does, and ``main(argv)``. Its
+name is the module's with dashes. Modules are imported only when their command runs; the lines of
+``mimicik --help`` are read from their source text.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+_FOLDER = Path(__file__).parent
+_TRACEBACK = "MIMICIK_TRACEBACK"
+
+
+def subcommands() -> dict[str, str]:
+    """Each subcommand and what it does, in alphabetical order, without importing any."""
+    found = {}
+    for path in sorted(_FOLDER.glob("*.py")):
+        help_line = _help_of(path)
+        if help_line is not None:
+            found[path.stem.replace("_", "-")] = help_line
+    return found
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one subcommand; returns the exit status."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    known = subcommands()
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_overview(known))
+        return 0
+    if arguments[0] == "--version":
+        from importlib.metadata import version
+
+        print(version("lerobot_policy_mimicik"))
+        return 0
+    command, *rest = arguments
+    if command not in known:
+        print(f"mimicik: unknown command {command!r}; known are {', '.join(known)}.", file=sys.stderr)
+        return 2
+    module = importlib.import_module(f"{__package__}.{command.replace('-', '_')}")
+    try:
+        return int(module.main(rest) or 0)
+    except (ValueError, OSError, RuntimeError) as error:
+        # These say what the user can change; where they were raised is of use to developers only.
+        if os.environ.get(_TRACEBACK):
+            raise
+        print(f"mimicik {command}: {error}", file=sys.stderr)
+        print(f"({_TRACEBACK}=1 shows where this comes from.)", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"\nmimicik {command}: interrupted.", file=sys.stderr)
+        return 130
+
+
+def _help_of(path: Path) -> str | None:
+    """The string that a module assigns to HELP at its top level, or None."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        if any(isinstance(target, ast.Name) and target.id == "HELP" for target in targets):
+            value = node.value  # type: ignore[attr-defined]
+            return str(ast.literal_eval(value))
+    return None
+
+
+def _overview(known: dict[str, str]) -> str:
+    width = max((len(name) for name in known), default=0)
+    lines = [f"  {name:<{width}}  {text}" for name, text in known.items()]
+    return "\n".join(
+        [
+            "usage: mimicik COMMAND [options]",
+            "",
+            "Inverse kinematics learned from teleoperation. A policy is trained with LeRobot's own command:",
+            "  lerobot-train --policy.type=mimicik --dataset.repo_id=... (see configs/)",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "mimicik COMMAND --help shows a command's options.",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Datasets: synthetic teleoperation, retargeting, statistics and fast loading."""

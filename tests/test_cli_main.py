@@ -1,0 +1,74 @@
+"""The `mimicik` command: what it lists, what it refuses and what it leaves unimported."""
+
+import subprocess
+import sys
+
+import pytest
+
+from lerobot_mimicik.cli import main as cli
+from lerobot_mimicik.cli.options import bare_switches, join_repeated, numbers
+
+
+def test_help_lists_every_subcommand_with_what_it_does(capsys):
+    assert cli.main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    known = cli.subcommands()
+    assert {"demo", "eval", "make-dataset"} <= set(known)
+    for name, text in known.items():
+        assert name in shown
+        assert text in shown
+        assert len(text) > 20
+
+
+def test_an_unknown_subcommand_is_refused_with_the_known_ones(capsys):
+    assert cli.main(["evaluate"]) == 2
+    shown = capsys.readouterr().err
+    assert "'evaluate'" in shown
+    assert all(name in shown for name in cli.subcommands())
+
+
+def test_help_imports_neither_torch_nor_lerobot():
+    code = (
+        "import sys; from lerobot_mimicik.cli.main import main; main(['--help']); "
+        "sys.exit(bool({'torch', 'lerobot', 'numpy'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+def test_an_error_of_the_user_is_one_line_without_a_traceback(capsys, monkeypatch):
+    monkeypatch.delenv("MIMICIK_TRACEBACK", raising=False)
+    assert cli.main(["eval", "--dataset.root=/nowhere/at/all", "--solvers=hold"]) == 1
+    shown = capsys.readouterr().err
+    assert "/nowhere/at/all" in shown
+    assert "Traceback" not in shown
+    monkeypatch.setenv("MIMICIK_TRACEBACK", "1")
+    with pytest.raises(FileNotFoundError):
+        cli.main(["eval", "--dataset.root=/nowhere/at/all", "--solvers=hold"])
+
+
+@pytest.mark.parametrize("command", ["eval", "demo"])
+def test_each_subcommand_explains_its_options(command, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([command, "--help"])
+    assert stopped.value.code == 0
+    assert f"usage: mimicik {command}" in capsys.readouterr().out
+
+
+def test_repeated_options_are_joined():
+    argv = ["--dataset.root=a", "--out=x", "--dataset.root", "b"]
+    assert join_repeated(argv, "--dataset.root") == ["--out=x", "--dataset.root=a,b"]
+    assert join_repeated(["--out=x"], "--dataset.root") == ["--out=x"]
+
+
+def test_numbers_and_ranges_are_read():
+    assert numbers("0-2,7", "--episodes") == [0, 1, 2, 7]
+    assert numbers("", "--episodes") == []
+    with pytest.raises(ValueError, match=r"--episodes: '3-x'"):
+        numbers("3-x", "--episodes")
+
+
+def test_bare_switches_mean_true():
+    from lerobot_mimicik.cli.demo import DemoConfig
+
+    argv = ["--resume", "--steps", "5", "--overwrite", "false"]
+    assert bare_switches(argv, DemoConfig) == ["--resume=true", "--steps", "5", "--overwrite", "false"]

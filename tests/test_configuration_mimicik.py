@@ -1,0 +1,102 @@
+"""The configuration refuses what cannot work, and carries what a checkpoint needs."""
+
+import json
+from pathlib import Path
+
+import draccus
+import pytest
+from lerobot.configs import PreTrainedConfig
+from lerobot.configs.train import TrainPipelineConfig
+
+from lerobot_mimicik.configuration_mimicik import MimicIKConfig
+from lerobot_mimicik.kinematics.arms import describe_arm
+
+CONFIGS = Path(__file__).parent.parent / "configs"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"objective": "gan"}, "objective='gan': expected one of mip, flow, regression"),
+        ({"conditioning": "x"}, "expected one of paper, relative"),
+        ({"joint_units": "turns"}, "expected one of rad, deg"),
+        ({"n_obs_steps": 0}, "n_obs_steps=0"),
+        ({"d_model": 250}, "multiple of 4"),
+        ({"fk_weight": -1.0}, "fk_weight=-1"),
+        ({"fk_position_scale": 0.0}, "fk_position_scale=0"),
+        ({"t_star": 1.0}, "t_star=1"),
+        ({"tip_link": "nowhere"}, "nowhere"),
+    ],
+)
+def test_impossible_settings_name_themselves(options, message):
+    with pytest.raises(ValueError, match=message):
+        MimicIKConfig(device="cpu", **options)
+
+
+def test_saved_configuration_contains_the_urdf(tmp_path):
+    config = MimicIKConfig(device="cpu", tool_offset=[0.1594, 0.0, 0.0])
+    config.save_pretrained(tmp_path)
+    saved = json.loads((tmp_path / "config.json").read_text())
+    assert "<robot" in saved["urdf"]
+    again = PreTrainedConfig.from_pretrained(tmp_path)
+    assert again == config
+    assert again.arm_description().tool_offset == (0.1594, 0.0, 0.0)
+
+
+def test_urdf_may_be_a_path(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(describe_arm("piper").urdf)
+    config = MimicIKConfig(device="cpu", urdf=str(path))
+    path.unlink()
+    assert config.arm_description().urdf == describe_arm("piper").urdf
+
+
+def test_dataset_without_joints_or_commands_is_refused():
+    config = MimicIKConfig(device="cpu")
+    with pytest.raises(ValueError, match=r"no 'observation.state'.*\['action'\]"):
+        config.set_dataset_feature_metadata({"action": {"shape": (6,), "names": None}})
+    state = {"observation.state": {"shape": (6,), "names": None}}
+    with pytest.raises(ValueError, match="next_state"):
+        config.set_dataset_feature_metadata(state)
+    short = state | {
+        "action": {"shape": (6,), "names": None},
+        "observation.ee_target": {"shape": (6,), "names": None},
+    }
+    with pytest.raises(ValueError, match=r"observation\.ee_target has 6 elements"):
+        config.set_dataset_feature_metadata(short)
+
+
+def test_cameras_are_left_alone():
+    features = {
+        "observation.state": {"shape": (6,), "names": None},
+        "observation.images.top": {"shape": (480, 640, 3), "names": None},
+        "action": {"shape": (6,), "names": None},
+    }
+    config = MimicIKConfig(device="cpu")
+    config.set_dataset_feature_metadata(features)
+    assert set(config.input_features) == {"observation.state", "observation.ee_target"}
+
+
+def parse(name: str, *overrides: str) -> TrainPipelineConfig:
+    return draccus.parse(TrainPipelineConfig, config_path=CONFIGS / name, args=list(overrides))
+
+
+def test_paper_configuration_spells_the_paper():
+    config = parse("paper.json")
+    policy = config.policy
+    assert (config.batch_size, config.steps) == (512, 300_000)
+    assert (policy.conditioning, policy.objective, policy.fk_weight) == ("paper", "mip", 0.1)
+    assert (policy.d_model, policy.n_layers, policy.n_heads) == (256, 8, 4)
+    optimizer, scheduler = policy.get_optimizer_preset(), policy.get_scheduler_preset()
+    assert (optimizer.lr, optimizer.weight_decay, optimizer.grad_clip_norm) == (1e-4, 1e-5, 10.0)
+    assert scheduler.num_warmup_steps == 0
+    assert policy.ema_decay == 0.995
+
+
+@pytest.mark.parametrize("name", ["paper.json", "small.json"])
+@pytest.mark.parametrize("fk_weight", [0.0, 0.05, 0.1, 0.2, 0.5])
+def test_ablations_are_one_flag(name, fk_weight):
+    changed, reference = parse(name, f"--policy.fk_weight={fk_weight}"), parse(name)
+    assert changed.policy.fk_weight == fk_weight
+    changed.policy.fk_weight = reference.policy.fk_weight
+    assert changed == reference
