@@ -1,0 +1,284 @@
+"""`mimicik make-dataset`: training data, generated or retargeted from recorded hand motion."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import draccus
+
+from lerobot_mimicik.cli.options import bare_switches, words
+from lerobot_mimicik.data.cleaning import CleaningOptions
+from lerobot_mimicik.data.placement import PlacementOptions
+from lerobot_mimicik.data.recordings import SourceColumns
+from lerobot_mimicik.data.retarget import RetargetOptions
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.data.retarget_report import RetargetSummary
+    from lerobot_mimicik.data.synthetic import SyntheticSummary
+
+HELP = "Make a training dataset: generate teleoperation, or retarget recorded end-effector motion to an arm."
+
+SOURCES = ("synthetic", "ee")
+_SYNTHETIC_TEST_SHARE = 0.15
+
+
+@dataclass
+class RobotOptions:
+    """The arm."""
+
+    # A shipped arm (airbot_play, piper) or the path of a URDF.
+    name: str = "airbot_play"
+    # Link whose frame poses are given in; empty: the arm's own, else the URDF's root.
+    base_link: str = ""
+    # Link that carries the tool; empty: the arm's own, else the URDF's only leaf.
+    tip_link: str = ""
+    # Order of the joint vector, comma-separated; empty: from base to tip.
+    joint_names: str = ""
+    # Tool frame in the tip link: x,y,z in m, or x,y,z,roll,pitch,yaw in m and rad. AIRBOT gripper:
+    # 0.1594,0,0.
+    tool_offset: str = ""
+
+
+@dataclass
+class ColumnOptions:
+    """source=ee: which columns of the input mean what; usual names are found by themselves."""
+
+    # Column of stamps.
+    time: str = ""
+    # Unit of the stamps: s, ms, us, ns; empty: guessed from their step.
+    time_unit: str = ""
+    # Frame rate of an input without stamps [Hz].
+    fps: float = 0.0
+    # Three columns, or one of 3-vectors [m]; of a LeRobot dataset: the feature with the poses.
+    position: str = ""
+    # Four columns (quaternion) or three (rotation vector), or one of such vectors.
+    rotation: str = ""
+    # Order of quaternion components: xyzw or wxyz.
+    quaternion_order: str = "xyzw"
+    # Columns that together name one recording, outermost first: person,session,episode.
+    groups: str = ""
+    # Columns that together name a session (splits never cut one); empty: the groups without the last.
+    session: str = ""
+    # Gripper width or opening, passed through as gripper.pos.
+    gripper: str = ""
+    # Column with a sentence on what is done.
+    task: str = ""
+
+
+@dataclass
+class FitOptions:
+    """source=ee: how recordings are repaired and made to fit the arm."""
+
+    # Largest joint motion per frame [rad]; faster motion is slowed down.
+    max_step: float = 0.1
+    # Extent of the workspace box x,y,z [m]; empty: the paper's 0.43,0.40,0.23, scaled by the arm's reach.
+    workspace: str = ""
+    # Middle of that box in the base frame x,y,z [m]; empty: before the arm's home pose.
+    centre: str = ""
+    # Largest factor on recorded translations (1: never enlarge).
+    max_scale: float = 1.0
+    # Largest rotation away from a recording's mean orientation [rad]; larger ones are scaled down.
+    max_rotation: float = PlacementOptions.max_rotation
+    # Largest tilt of the mean tool orientation away from the home orientation [rad].
+    max_tilt: float = PlacementOptions.max_tilt
+    # Distance kept from the arm itself and the floor [m].
+    clearance: float = RetargetOptions.clearance
+    # Height of the floor in the base frame [m]; null: no floor.
+    floor: float | None = 0.0
+    # Width of the smoothing of recordings [s].
+    smoothing: float = CleaningOptions.bandwidth
+    # Faster steps of the recording are jumps of the tracker [m/s].
+    max_speed: float = CleaningOptions.max_speed
+    # Longer holes in the stamps cut a recording [s].
+    max_gap: float = CleaningOptions.max_gap
+    # Shorter recordings are dropped [s].
+    min_duration: float = CleaningOptions.min_duration
+    # Rounds of placements tried before a recording is dropped.
+    attempts: int = RetargetOptions.attempts
+
+
+@dataclass
+class MakeDatasetConfig:
+    """Options of `mimicik make-dataset`.
+
+    source=synthetic writes OUTPUT/train, OUTPUT/test (other sessions) and OUTPUT/ood (near singularities).
+    source=ee retargets recordings by smooth whole-trajectory inverse kinematics and writes OUTPUT, or, with a
+    test_share, OUTPUT/train and OUTPUT/test. Input: parquet or CSV (time, position, quaternion or rotation
+    vector, group columns), a folder of such files, UMI-style tables (robot0_eef_pos,
+    robot0_eef_rot_axis_angle), or a LeRobot dataset with poses. zarr is not read: convert it first.
+    """
+
+    # synthetic: generated teleoperation; ee: retargeted end-effector recordings.
+    source: str = "synthetic"
+    # Folder of the dataset to write.
+    output: str = ""
+    # source=ee: file, folder or LeRobot dataset to read.
+    input: str = ""
+    robot: RobotOptions = field(default_factory=RobotOptions)
+    # source=synthetic: number of episodes, train and test together. source=ee: first recordings only; 0: all.
+    episodes: int = 0
+    # Frames per second.
+    fps: int = 20
+    # Time constant with which measured joints follow the command [s]; null: 0.04 for synthetic, 0 for ee.
+    lag: float | None = None
+    # Share of the sessions for a test split; null: 0.15 for synthetic, none for ee.
+    test_share: float | None = None
+    # source=synthetic: also write the near-singular trajectories.
+    ood: bool = True
+    # source=ee: task sentence for recordings without one.
+    task: str = "follow the recorded hand motion"
+    # Source of all randomness: the same seed gives the same dataset, whatever the number of workers.
+    seed: int = 0
+    # Processes that work in parallel.
+    workers: int = 2
+    # source=ee: continue a run that was interrupted.
+    resume: bool = False
+    # Replace a dataset that is already there.
+    overwrite: bool = False
+    columns: ColumnOptions = field(default_factory=ColumnOptions)
+    fit: FitOptions = field(default_factory=FitOptions)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command; returns the exit status."""
+    config = draccus.parse(MakeDatasetConfig, args=_expanded(argv), prog="mimicik make-dataset")
+    try:
+        print(run(config))
+    except (ValueError, OSError) as error:
+        print(f"mimicik make-dataset: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        hint = "; continue with --resume" if config.source == "ee" else ""
+        print(f"mimicik make-dataset: interrupted{hint}", file=sys.stderr)
+        return 130
+    return 0
+
+
+def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | RetargetSummary:
+    """Make the dataset.
+
+    Raises:
+        ValueError: an option does not fit; the message names it and what exists.
+        OSError: the input does not exist, or the output does.
+    """
+    from lerobot_mimicik.kinematics.arms import describe_arm
+
+    if config.source not in SOURCES:
+        raise ValueError(f"--source must be one of {', '.join(SOURCES)}, got {config.source!r}")
+    if not config.output:
+        raise ValueError("--output is missing: the folder of the dataset to write")
+    robot = config.robot
+    description = describe_arm(
+        robot.name,
+        robot.base_link or None,
+        robot.tip_link or None,
+        words(robot.joint_names) or None,
+        _numbers(robot.tool_offset, "--robot.tool_offset") or None,
+    )
+    if config.source == "synthetic":
+        if config.input or config.resume:
+            raise ValueError("--input and --resume belong to --source=ee")
+        from lerobot_mimicik.data.session import SyntheticConfig
+        from lerobot_mimicik.data.synthetic import make_synthetic
+
+        if config.episodes <= 0:
+            raise ValueError(f"--episodes must be positive with --source=synthetic, got {config.episodes}")
+        defaults = SyntheticConfig()
+        return make_synthetic(
+            Path(config.output),
+            config.episodes,
+            description,
+            seed=config.seed,
+            workers=config.workers,
+            test_share=_SYNTHETIC_TEST_SHARE if config.test_share is None else config.test_share,
+            ood=config.ood,
+            config=SyntheticConfig(
+                fps=config.fps, lag_s=defaults.lag_s if config.lag is None else config.lag
+            ),
+            progress=progress,
+            overwrite=config.overwrite,
+        )
+    from lerobot_mimicik.data.retarget_dataset import JobOptions, retarget_dataset
+
+    if not config.input:
+        raise ValueError("--input is missing: the file, folder or LeRobot dataset to retarget")
+    job = JobOptions(
+        workers=config.workers,
+        resume=config.resume,
+        overwrite=config.overwrite,
+        test_share=config.test_share or 0.0,
+        lag_s=config.lag or 0.0,
+        task=config.task,
+        robot_type=None if "/" in robot.name else robot.name,
+        progress=progress,
+        limit=config.episodes,
+    )
+    return retarget_dataset(
+        config.input,
+        config.output,
+        description,
+        _retarget_options(config),
+        _source_columns(config.columns),
+        job,
+    )
+
+
+def _retarget_options(config: MakeDatasetConfig) -> RetargetOptions:
+    fit = config.fit
+    return RetargetOptions(
+        cleaning=CleaningOptions(
+            fps=config.fps,
+            max_speed=fit.max_speed,
+            max_gap=fit.max_gap,
+            min_duration=fit.min_duration,
+            bandwidth=fit.smoothing,
+        ),
+        placement=PlacementOptions(
+            workspace=_numbers(fit.workspace, "--fit.workspace"),
+            centre=_numbers(fit.centre, "--fit.centre"),
+            max_scale=fit.max_scale,
+            max_rotation=fit.max_rotation,
+            max_tilt=fit.max_tilt,
+        ),
+        max_step=fit.max_step,
+        clearance=fit.clearance,
+        floor=fit.floor,
+        attempts=fit.attempts,
+        seed=config.seed,
+    )
+
+
+def _source_columns(options: ColumnOptions) -> SourceColumns:
+    return SourceColumns(
+        time=options.time,
+        time_unit=options.time_unit,
+        fps=options.fps,
+        position=tuple(words(options.position)),
+        rotation=tuple(words(options.rotation)),
+        quaternion_order=options.quaternion_order,
+        groups=tuple(words(options.groups)),
+        session=tuple(words(options.session)),
+        gripper=options.gripper,
+        task=options.task,
+    )
+
+
+def _numbers(text: str, option: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in words(text))
+    except ValueError:
+        raise ValueError(f"{option} takes numbers separated by commas, got {text!r}") from None
+
+
+def _expanded(argv: Sequence[str]) -> list[str]:
+    """The command line as draccus wants it: a bare switch means true, `--robot=NAME` the arm's name."""
+    return [
+        argument.replace("--robot", "--robot.name", 1)
+        if argument == "--robot" or argument.startswith("--robot=")
+        else argument
+        for argument in bare_switches(argv, MakeDatasetConfig)
+    ]

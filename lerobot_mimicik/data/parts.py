@@ -1,0 +1,107 @@
+"""Work cut into parts that stay on disk: what an interrupted run finished is not done again.
+
+Parts are numpy archives without pickles, one per batch of recordings, written to a temporary name and
+renamed, so that a part which exists is whole. A manifest says what they were made from and with which
+options; parts of anything else are refused.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lerobot_mimicik.data.retarget import Outcome
+
+_MANIFEST = "manifest.json"
+
+
+class PartStore:
+    """A folder of finished parts of one piece of work.
+
+    Attributes:
+        folder: where the parts are.
+    """
+
+    def __init__(self, folder: Path, manifest: dict[str, Any], resume: bool) -> None:
+        """Open the folder for work described by `manifest` (JSON-able).
+
+        Args:
+            folder: created if it does not exist; emptied unless `resume`.
+            manifest: what the parts depend on: input, options, batch size.
+            resume: keep the parts that are there.
+
+        Raises:
+            ValueError: the parts that are there belong to other work; names what differs.
+        """
+        self.folder = folder
+        manifest = json.loads(json.dumps(manifest))
+        path = folder / _MANIFEST
+        if resume and path.is_file():
+            found = json.loads(path.read_text())
+            differing = [key for key in {**found, **manifest} if found.get(key) != manifest.get(key)]
+            if differing:
+                raise ValueError(
+                    f"{folder} holds parts of a run with other settings ({', '.join(sorted(differing))}): "
+                    "give the same settings to resume it, or start again without resuming"
+                )
+            return
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        path.write_text(json.dumps(manifest, indent=2))
+
+    def path(self, number: int) -> Path:
+        """Where part `number` is, or will be."""
+        return self.folder / f"part-{number:05d}.npz"
+
+    def missing(self, count: int) -> list[int]:
+        """Which of the parts 0 .. count - 1 are not there."""
+        return [number for number in range(count) if not self.path(number).is_file()]
+
+    def remove(self) -> None:
+        """Delete the folder: the work is done."""
+        shutil.rmtree(self.folder)
+
+
+def save_outcomes(path: Path, outcomes: Sequence[Outcome]) -> None:
+    """Write a part. All outcomes of a part have a gripper or none has."""
+    headers = [
+        {key: value for key, value in vars(outcome).items() if key not in ("q", "target", "gripper")}
+        for outcome in outcomes
+    ]
+    arrays: dict[str, np.ndarray] = {"headers": np.array(json.dumps(headers))}
+    for number, outcome in enumerate(outcomes):
+        if len(outcome.q):
+            arrays |= {f"q{number}": outcome.q, f"target{number}": outcome.target}
+            if outcome.gripper is not None:
+                arrays[f"gripper{number}"] = outcome.gripper
+    temporary = path.with_suffix(f".{os.getpid()}.tmp")
+    with temporary.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
+    os.replace(temporary, path)
+
+
+def load_outcomes(path: Path) -> list[Outcome]:
+    """Read a part that `save_outcomes` wrote."""
+    with np.load(path, allow_pickle=False) as archive:
+        outcomes = [Outcome(**header) for header in json.loads(str(archive["headers"]))]
+        for number, outcome in enumerate(outcomes):
+            if f"q{number}" in archive:
+                outcome.q, outcome.target = archive[f"q{number}"], archive[f"target{number}"]
+            if f"gripper{number}" in archive:
+                outcome.gripper = archive[f"gripper{number}"]
+    return outcomes
+
+
+def manifest_of(**entries: Any) -> dict[str, Any]:
+    """A manifest from dataclasses and plain values."""
+    return {
+        key: asdict(value) if hasattr(value, "__dataclass_fields__") else value
+        for key, value in entries.items()
+    }

@@ -1,0 +1,56 @@
+"""ArrayChain agrees with SerialArm."""
+
+import numpy as np
+import pytest
+import torch
+
+from lerobot_mimicik.data.array_chain import ArrayChain
+from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, describe_arm
+from lerobot_mimicik.kinematics.chain import SerialArm
+
+_SLIDER = """<robot name="slider">
+<link name="a"/><link name="b"/><link name="c"/><link name="d"/>
+<joint name="lift" type="prismatic">
+<parent link="a"/><child link="b"/><origin xyz="0.1 0 0.2" rpy="0.3 0.1 -0.4"/>
+<axis xyz="0 1 0"/><limit lower="-0.5" upper="0.5" effort="1" velocity="1"/></joint>
+<joint name="plate" type="fixed">
+<parent link="b"/><child link="c"/><origin xyz="0 0 0.1" rpy="0 1.2 0"/></joint>
+<joint name="turn" type="continuous">
+<parent link="c"/><child link="d"/><origin xyz="0 0.3 0" rpy="0 0 1"/>
+<axis xyz="1 1 0"/></joint></robot>"""
+
+
+def _descriptions():
+    yield from (describe_arm(name) for name in SHIPPED_ARMS)
+    yield describe_arm("airbot_play", tool_offset=(0.16, 0.01, -0.02, 0.1, 0.2, 0.3))
+    yield describe_arm("airbot_play", joint_names=[f"joint{i}" for i in (3, 1, 2, 6, 4, 5)])
+    yield describe_arm(_SLIDER, tool_offset=(0.0, 0.0, 0.1))
+
+
+@pytest.mark.parametrize("description", list(_descriptions()))
+def test_forward_and_jacobian_agree_with_serial_arm(description):
+    chain, arm = ArrayChain(description), SerialArm(description, dtype=torch.float64)
+    q = np.random.default_rng(0).uniform(-2, 2, size=(50, chain.dof))
+    rotation, position, jacobian = chain.forward_and_jacobian(q)
+    expected = arm.matrix(torch.from_numpy(q)).numpy()
+    np.testing.assert_allclose(rotation, expected[:, :3, :3], atol=1e-12)
+    np.testing.assert_allclose(position, expected[:, :3, 3], atol=1e-12)
+    np.testing.assert_allclose(jacobian, arm.jacobian(torch.from_numpy(q)).numpy(), atol=1e-12)
+    for alone, together in zip(chain.forward(q), (rotation, position), strict=True):
+        np.testing.assert_array_equal(alone, together)
+
+
+def test_body_points_follow_their_links():
+    description = describe_arm("airbot_play")
+    chain = ArrayChain(description)
+    body, (_, offset) = chain.links["end_link"]
+    points = [np.empty((0, 3)) for _ in range(chain.dof + 1)]
+    points[body] = offset[None]
+    q = np.random.default_rng(1).uniform(-1, 1, size=(7, 6))
+    moved = chain.body_points(q, points)[body]
+    np.testing.assert_allclose(moved[0].T, chain.forward(q)[1], atol=1e-12)
+
+
+def test_joints_of_another_width_are_refused():
+    with pytest.raises(ValueError, match=r"\(N, 6\)"):
+        ArrayChain(describe_arm("airbot_play")).forward(np.zeros((3, 5)))
