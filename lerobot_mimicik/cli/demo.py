@@ -1,0 +1,291 @@
+"""`mimicik demo`: the whole way in one command, from motion to a trained, evaluated checkpoint and a report.
+
+The stages leave their results in the output folder, and a run with ``--resume`` goes on after the last
+complete one::
+
+    data/     datasets: train, test (held-out sessions), ood (near singularities)
+    train/    what `lerobot-train` writes; the checkpoint is train/checkpoints/last/pretrained_model
+    logs/     what `lerobot-train` prints
+    eval/     report.json and report.md, as `mimicik eval` writes them
+    figures/  the report's figures as PNG
+    report.html
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import draccus
+
+from lerobot_mimicik.cli import training_process
+from lerobot_mimicik.cli.options import bare_switches
+
+HELP = "Go the whole way: make a dataset, train a policy on it, measure it, write a report with figures."
+
+_STATE = "demo.json"
+_NEW_EACH_TIME = ("output", "resume", "overwrite", "workers", "device")
+# Enough to see over-fitting in the training curves, little enough to cost seconds.
+_HELD_OUT_SHARE, _HELD_OUT_SAMPLES, _EVALUATIONS = 0.05, 2048, 10
+
+
+@dataclass
+class DemoConfig:
+    """Options of `mimicik demo`."""
+
+    # synthetic: generated teleoperation. ee: recorded end-effector motion, given by --input.
+    source: str = "synthetic"
+    # source=ee: file, folder or LeRobot dataset with end-effector motion (see mimicik make-dataset --help).
+    input: str = ""
+    # A shipped arm (airbot_play, piper) or the path of a URDF.
+    robot: str = "airbot_play"
+    # Folder for everything that is made.
+    output: str = "outputs/demo"
+    # Episodes of the dataset. source=ee: recordings used, 0 for all.
+    episodes: int = 200
+    # Share of the sessions that is kept aside for testing.
+    test_share: float = 0.15
+    # Length of each of the three near-singular test trajectories [s].
+    ood_seconds: float = 120.0
+    # Training steps; 0: as the recipe says.
+    steps: int = 0
+    # Recipe of the training: a file for lerobot-train --config_path, or its name in configs/.
+    recipe: str = "small.json"
+    # Of data, training and evaluation.
+    seed: int = 0
+    # Where to train and evaluate (cpu, cuda, mps); empty: what LeRobot finds.
+    device: str = ""
+    # Processes that make the data.
+    workers: int = 2
+    # Go on with what is in the output folder.
+    resume: bool = False
+    # Replace what is in the output folder.
+    overwrite: bool = False
+
+
+@dataclass(frozen=True)
+class DemoData:
+    """Folders of the datasets, and what was said when they were made."""
+
+    train: Path
+    test: Path
+    ood: Path
+    summary: str
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command."""
+    config = draccus.parse(DemoConfig, args=bare_switches(argv, DemoConfig), prog="mimicik demo")
+    begin = time.monotonic()
+    page = run(config)
+    minutes, seconds = divmod(round(time.monotonic() - begin), 60)
+    print(f"\nDone in {minutes} min {seconds} s. Report: {page}")
+    return 0
+
+
+def run(config: DemoConfig) -> Path:
+    """All stages; returns the path of the report.
+
+    Raises:
+        ValueError: If an option does not fit, or differs from those of the run to be resumed.
+        OSError: If an input does not exist, or the output folder is in use.
+        RuntimeError: If training fails.
+    """
+    if config.source not in ("synthetic", "ee"):
+        raise ValueError(f"--source must be synthetic or ee, got {config.source!r}.")
+    if (config.source == "ee") != bool(config.input):
+        raise ValueError("--source=ee needs --input, the recorded motion; --source=synthetic takes none.")
+    output = Path(config.output)
+    recipe = training_process.find_recipe(config.recipe)
+    _claim(output, config)
+    print("1/4  Data", flush=True)
+    data = make_data(config, output / "data")
+    print(data.summary, flush=True)
+    print("2/4  Training", flush=True)
+    steps, log_freq, command = train_policy(config, recipe, data, output)
+    print("3/4  Evaluation", flush=True)
+    from lerobot_mimicik.cli.eval import DatasetSource, EvalConfig, PolicySource
+    from lerobot_mimicik.cli.eval import run as evaluate
+
+    eval_config = EvalConfig(
+        policy=PolicySource(str(output / "train")),
+        dataset=DatasetSource(f"{data.test},{data.ood}"),
+        out=str(output / "eval"),
+        seed=config.seed,
+        device=config.device,
+    )
+    evaluations = evaluate(eval_config)
+    print("4/4  Report", flush=True)
+    from lerobot_mimicik.cli.demo_report import write_demo_report
+
+    curves = training_process.read_curves(output / "logs", log_freq)
+    eval_command = (
+        f"mimicik eval --policy.path={output / 'train'} --dataset.root={data.test},{data.ood} "
+        f"--out={output / 'eval'}"
+    )
+    return write_demo_report(
+        output,
+        source=config.source,
+        train_root=data.train,
+        data_summary=data.summary,
+        evaluations=evaluations,
+        curves=curves,
+        steps=steps,
+        commands=[command, eval_command],
+    )
+
+
+def make_data(config: DemoConfig, folder: Path) -> DemoData:
+    """Make the datasets, or take those that are already complete.
+
+    Raises:
+        ValueError: If an option does not fit.
+        OSError: If the input does not exist.
+    """
+    from lerobot_mimicik.data.session import SyntheticConfig
+    from lerobot_mimicik.data.synthetic import make_synthetic
+    from lerobot_mimicik.kinematics.arms import describe_arm
+
+    train, test = folder / "train", folder / "test"
+    ood = folder / "ood" if config.source == "synthetic" else folder / "near_singular" / "ood"
+    note = folder / "summary.txt"
+    if note.is_file() and all(_is_dataset(root) for root in (train, test, ood)):
+        return DemoData(train, test, ood, note.read_text())
+    description = describe_arm(config.robot)
+    if config.source == "synthetic":
+        made = make_synthetic(
+            folder,
+            config.episodes,
+            description,
+            seed=config.seed,
+            workers=config.workers,
+            test_share=config.test_share,
+            config=SyntheticConfig(ood_s=config.ood_seconds),
+            overwrite=True,
+        )
+        summary = str(made)
+    else:
+        from lerobot_mimicik.cli.make_dataset import MakeDatasetConfig, RobotOptions
+        from lerobot_mimicik.cli.make_dataset import run as make_dataset
+
+        retargeted = make_dataset(
+            MakeDatasetConfig(
+                source="ee",
+                input=config.input,
+                output=str(folder),
+                robot=RobotOptions(name=config.robot),
+                episodes=config.episodes,
+                test_share=config.test_share,
+                seed=config.seed,
+                workers=config.workers,
+                resume=config.resume,
+                overwrite=not config.resume,
+            )
+        )
+        # Recorded motion has no near-singular set; this one is generated, without lag as the rest.
+        near_singular = make_synthetic(
+            folder / "near_singular",
+            1,
+            description,
+            seed=config.seed,
+            workers=config.workers,
+            test_share=0.0,
+            config=SyntheticConfig(ood_s=config.ood_seconds, lag_s=0.0),
+            overwrite=True,
+        )
+        frames = near_singular.frames["ood"]
+        summary = f"{retargeted}\nnear-singular trajectories, generated: {frames} frames -> {ood}"
+    note.write_text(summary)
+    return DemoData(train, test, ood, summary)
+
+
+def train_policy(config: DemoConfig, recipe: Path, data: DemoData, output: Path) -> tuple[int, int, str]:
+    """Train with `lerobot-train`, from the last checkpoint if there is one.
+
+    Returns:
+        Training steps, steps between two lines of the log, and the command line.
+
+    Raises:
+        RuntimeError: If training fails.
+    """
+    settings = json.loads(recipe.read_text())
+    steps = config.steps or int(settings["steps"])
+    log_freq = min(int(settings.get("log_freq", 200)), max(1, steps // 20))
+    run = output / "train"
+    done = training_process.last_step(run)
+    fresh = [
+        f"--config_path={recipe}",
+        f"--dataset.repo_id=local/{output.name}",
+        f"--dataset.root={data.train}",
+        f"--output_dir={run}",
+        f"--steps={steps}",
+        f"--log_freq={log_freq}",
+        f"--seed={config.seed}",
+        *_held_out(data.train, steps),
+        f"--policy.urdf={config.robot}",
+        *([f"--policy.device={config.device}"] if config.device else []),
+    ]
+    if done >= steps:
+        print(f"The training's {done} steps are done.")
+    elif done:
+        checkpoint = run / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
+        resumed = [f"--config_path={checkpoint}", "--resume=true", f"--steps={steps}"]
+        print(training_process.shown(resumed), flush=True)
+        training_process.train(resumed, steps, log_freq, output / "logs", start=done)
+    else:
+        # Without a checkpoint there is nothing to go on with, and LeRobot wants the folder to be new.
+        shutil.rmtree(run, ignore_errors=True)
+        print(training_process.shown(fresh), flush=True)
+        training_process.train(fresh, steps, log_freq, output / "logs")
+    return steps, log_freq, training_process.shown(fresh)
+
+
+def _held_out(root: Path, steps: int) -> list[str]:
+    """Options that keep a few training episodes aside for a loss curve, where there are enough of them."""
+    info = json.loads((root / "meta" / "info.json").read_text())
+    if info["total_episodes"] < 10 * max(1, info["total_tasks"]):
+        return []
+    return [
+        f"--dataset.eval_split={_HELD_OUT_SHARE}",
+        f"--max_eval_samples={_HELD_OUT_SAMPLES}",
+        f"--eval_steps={max(1, steps // _EVALUATIONS)}",
+    ]
+
+
+def _claim(output: Path, config: DemoConfig) -> None:
+    """Make the output folder this run's, or refuse.
+
+    Raises:
+        FileExistsError: If it holds something, and neither resume nor overwrite is asked for.
+        ValueError: If it holds a run with other options than those to be resumed with.
+    """
+    options = {name: value for name, value in asdict(config).items() if name not in _NEW_EACH_TIME}
+    state = output / _STATE
+    if config.resume and config.overwrite:
+        raise ValueError("--resume goes on with what is there and --overwrite replaces it: choose one.")
+    if output.exists() and any(output.iterdir()):
+        if config.overwrite:
+            if not state.is_file():
+                raise FileExistsError(f"{output} was not made by mimicik demo, so it is not overwritten.")
+            shutil.rmtree(output)
+        elif not config.resume:
+            raise FileExistsError(
+                f"{output} exists already. --resume goes on with it, --overwrite replaces it, "
+                "--output=DIR goes elsewhere."
+            )
+        elif state.is_file():
+            before = json.loads(state.read_text())
+            changed = [name for name, value in options.items() if before.get(name) != value]
+            if changed:
+                found = ", ".join(f"{name}={before.get(name)!r}" for name in changed)
+                raise ValueError(f"{output} was begun with {found}: resume with that, or use --overwrite.")
+    output.mkdir(parents=True, exist_ok=True)
+    state.write_text(json.dumps(options, indent=2) + "\n")
+
+
+def _is_dataset(root: Path) -> bool:
+    return (root / "meta" / "info.json").is_file()

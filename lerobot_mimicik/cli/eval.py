@@ -1,0 +1,139 @@
+"""`mimicik eval`: measures a checkpoint on recorded motion and writes report.json and report.md."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import draccus
+
+from lerobot_mimicik.cli.options import join_repeated, numbers, words
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.evaluation.evaluate import Evaluation
+    from lerobot_mimicik.kinematics.arms import ArmDescription
+    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+
+HELP = "Measure a checkpoint on recorded motion: accuracy, smoothness, latency, behaviour at singularities."
+
+
+@dataclass
+class PolicySource:
+    """The checkpoint to measure."""
+
+    # A checkpoint's folder, the output folder of a training run, or a Hub repository. Empty: measure only
+    # solvers that need none.
+    path: str = ""
+
+
+@dataclass
+class DatasetSource:
+    """The recorded motion to measure on."""
+
+    # Folder of a LeRobot dataset; several separated by commas, or the option repeated.
+    root: str = ""
+
+
+@dataclass
+class EvalConfig:
+    """Options of `mimicik eval`."""
+
+    policy: PolicySource = field(default_factory=PolicySource)
+    dataset: DatasetSource = field(default_factory=DatasetSource)
+    # open_loop: recorded joints in at every frame. closed_loop: each command is the next measurement.
+    mode: str = "open_loop,closed_loop"
+    # Where report.json and report.md go.
+    out: str = "outputs/eval"
+    # Rows of the table; hold (the arm does not move) is always among them.
+    solvers: str = "mimicik,hold"
+    # Episodes to use, as numbers and ranges such as 0-9,12; empty: all of them.
+    episodes: str = ""
+    # For solvers that draw noise.
+    seed: int = 0
+    # Where the policy runs (cpu, cuda, mps); empty: as its configuration says.
+    device: str = ""
+    # Number of single queries timed for the latency.
+    latency_queries: int = 200
+    # Threads that torch uses; 0 leaves it to torch.
+    threads: int = 0
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command."""
+    config = draccus.parse(EvalConfig, args=join_repeated(argv, "--dataset.root"), prog="mimicik eval")
+    from lerobot_mimicik.evaluation.report import markdown_table
+
+    evaluations = run(config)
+    print(markdown_table([evaluation.row for evaluation in evaluations]))
+    print(f"Report: {config.out}/report.json, {config.out}/report.md")
+    return 0
+
+
+def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
+    """Evaluate and write the report, after every row anew so that an interrupted run leaves what it has.
+
+    Raises:
+        ValueError: If an option does not fit; the message names it and what exists.
+        FileNotFoundError: If a dataset or checkpoint does not exist.
+    """
+    import torch
+
+    from lerobot_mimicik.evaluation.evaluate import evaluate, study
+    from lerobot_mimicik.evaluation.report import write_report
+    from lerobot_mimicik.evaluation.rollouts import known_modes
+    from lerobot_mimicik.evaluation.trajectories import Layout, distinct_names, load_trajectories
+    from lerobot_mimicik.kinematics.chain import SerialArm
+    from lerobot_mimicik.solvers import known_solvers, make_solver
+    from lerobot_mimicik.solvers.mimicik import load_policy
+
+    roots = words(config.dataset.root)
+    if not roots:
+        raise ValueError("--dataset.root is missing: the folder of a LeRobot dataset.")
+    modes = _known(words(config.mode), known_modes(), "--mode")
+    names = _known(words(config.solvers), known_solvers(), "--solvers")
+    names += [] if "hold" in names else ["hold"]
+    if not config.policy.path:
+        if words(config.solvers) != words(EvalConfig.solvers) and "mimicik" in names:
+            raise ValueError("--solvers names mimicik, but --policy.path is missing: which checkpoint?")
+        names = [name for name in names if name != "mimicik"]
+    if config.threads:
+        torch.set_num_threads(config.threads)
+
+    policy: MimicIKPolicy | None = None
+    if "mimicik" in names:
+        policy = load_policy(config.policy.path, config.device or None)
+    description = policy.config.arm_description() if policy is not None else _arm_of_dataset(roots[0])
+    layout = Layout.of_policy(policy.config) if policy is not None else Layout()
+    arm = SerialArm(description, dtype=torch.float64)
+    episodes = numbers(config.episodes, "--episodes") or None
+    recordings = [
+        study(arm, load_trajectories(root, arm, layout, episodes, name))
+        for root, name in zip(roots, distinct_names(roots), strict=True)
+    ]
+    solvers = {
+        name: make_solver(name, arm, **({"policy": policy} if name == "mimicik" else {})) for name in names
+    }
+    settings = asdict(config) | {"device": str(policy.config.device) if policy is not None else "cpu"}
+    evaluations: list[Evaluation] = []
+    for evaluation in evaluate(
+        arm, solvers, recordings, modes, config.latency_queries, config.seed, progress=progress
+    ):
+        evaluations.append(evaluation)
+        write_report(config.out, [done.row for done in evaluations], recordings, settings)
+    return evaluations
+
+
+def _known(asked: list[str], known: Sequence[str], option: str) -> list[Any]:
+    unknown = [name for name in asked if name not in known]
+    if unknown or not asked:
+        raise ValueError(
+            f"{option}: unknown {', '.join(unknown) or '(nothing)'}; known are {', '.join(known)}."
+        )
+    return list(dict.fromkeys(asked))
+
+
+def _arm_of_dataset(root: str) -> ArmDescription:
+    from lerobot_mimicik.data.writer import read_arm_json
+
+    return read_arm_json(root)

@@ -1,0 +1,53 @@
+"""Small helpers for the command lines of the subcommands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+
+def bare_switches(argv: Sequence[str], config_class: type) -> list[str]:
+    """The command line with a bare ``--switch`` of a boolean option written out as ``--switch=true``."""
+    switches = {f"--{entry.name}" for entry in fields(config_class) if entry.type in (bool, "bool")}
+    arguments = list(argv)
+    expanded = []
+    for index, argument in enumerate(arguments):
+        following = arguments[index + 1] if index + 1 < len(arguments) else "--"
+        bare = argument in switches and following.startswith("--")
+        expanded.append(f"{argument}=true" if bare else argument)
+    return expanded
+
+
+def join_repeated(argv: Sequence[str], option: str) -> list[str]:
+    """The command line with every occurrence of an option merged into one, values joined by commas."""
+    rest: list[str] = []
+    values: list[str] = []
+    arguments = iter(argv)
+    for argument in arguments:
+        if argument == option:
+            values.append(next(arguments, ""))
+        elif argument.startswith(f"{option}="):
+            values.append(argument.split("=", 1)[1])
+        else:
+            rest.append(argument)
+    return [*rest, f"{option}={','.join(values)}"] if values else rest
+
+
+def words(text: str) -> list[str]:
+    """The parts of a comma-separated option."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def numbers(text: str, option: str) -> list[int]:
+    """Numbers and ranges such as ``0-9,12``.
+
+    Raises:
+        ValueError: If a part is neither; the message names the option.
+    """
+    found: list[int] = []
+    for word in words(text):
+        first, dash, last = word.partition("-")
+        if not first.isdigit() or (dash and not last.isdigit()):
+            raise ValueError(f"{option}: {word!r} is neither a number nor a range such as 0-9.")
+        found += range(int(first), int(last if dash else first) + 1)
+    return found

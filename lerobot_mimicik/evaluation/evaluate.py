@@ -1,0 +1,118 @@
+"""Evaluating solvers on datasets in modes: one row of the report for each combination."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from lerobot_mimicik.evaluation.latency import Latency, measure_latency
+from lerobot_mimicik.evaluation.metrics import Trace, measure, summarise
+from lerobot_mimicik.evaluation.rollouts import RolloutOptions, make_rollouts
+from lerobot_mimicik.evaluation.trajectories import TrajectorySet
+from lerobot_mimicik.evaluation.verdict import (
+    Passage,
+    Verdict,
+    characteristic_length,
+    find_passages,
+    judge_all,
+    smallest_singular_value,
+)
+from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.solvers.base import Array, IKSolver
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A dataset as the evaluation sees it.
+
+    Attributes:
+        set: Its trajectories.
+        singular_value: Smallest singular value along each trajectory, (T,) each.
+        passages: Singular passages of each trajectory.
+    """
+
+    set: TrajectorySet
+    singular_value: tuple[Array, ...]
+    passages: tuple[tuple[Passage, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """One row of the report and what it was computed from.
+
+    Attributes:
+        row: The row, by the keys of ``report.json``.
+        recording: The dataset.
+        traces: Per-frame measurements, one for each trajectory.
+        verdicts: One for each trajectory; empty where the mode gives none.
+    """
+
+    row: dict[str, Any]
+    recording: Recording
+    traces: tuple[Trace, ...]
+    verdicts: tuple[Verdict, ...]
+
+
+def study(arm: SerialArm, trajectories: TrajectorySet) -> Recording:
+    """Find the singular passages of a dataset; ``arm`` in float64."""
+    length = characteristic_length(arm)
+    values = tuple(smallest_singular_value(arm, one.q, length) for one in trajectories.trajectories)
+    passages = tuple(tuple(find_passages(value, trajectories.fps)) for value in values)
+    return Recording(trajectories, values, passages)
+
+
+def evaluate(
+    arm: SerialArm,
+    solvers: Mapping[str, IKSolver],
+    recordings: Sequence[Recording],
+    modes: Sequence[str],
+    latency_queries: int = 200,
+    seed: int = 0,
+    progress: bool = False,
+) -> Iterator[Evaluation]:
+    """Evaluate every solver on every dataset in every mode, one combination at a time.
+
+    Args:
+        arm: Measures all of them; float64, joints in the order of the recordings.
+        solvers: By the name that the table shows.
+        recordings: From ``study``.
+        modes: From ``known_modes()``.
+        latency_queries: Queries timed per solver, on the first trajectory of the first recording.
+        seed: Set anew before each combination, for solvers and modes that draw noise.
+        progress: Whether to show a bar for each combination.
+
+    Yields:
+        Evaluations, ordered by dataset, mode and solver.
+    """
+    latencies: dict[str, Latency] = {}
+    for name, solver in solvers.items():
+        latencies[name] = measure_latency(solver, recordings[0].set.trajectories[0], latency_queries)
+    for recording in recordings:
+        for mode in modes:
+            for name, solver in solvers.items():
+                torch.manual_seed(seed)
+                label = f"{name}, {mode.replace('_', ' ')}, {recording.set.name}"
+                options = RolloutOptions(seed=seed, progress=progress, label=label)
+                rollouts = make_rollouts(mode, solver, recording.set.trajectories, options)
+                traces = tuple(measure(arm, rollouts))
+                yield _evaluation(name, mode, recording, traces, latencies[name])
+
+
+def _evaluation(
+    name: str, mode: str, recording: Recording, traces: tuple[Trace, ...], latency: Latency
+) -> Evaluation:
+    row: dict[str, Any] = {"solver": name, "mode": mode, "dataset": recording.set.name}
+    row |= summarise(traces)
+    row |= {"latency_ms_median": latency.median_ms, "latency_ms_p99": latency.p99_ms}
+    verdicts: list[Verdict] = []
+    if mode == "open_loop":
+        # Its commands have no consequences, so there is nothing to judge.
+        row |= {"verdict": "-", "reason": ""}
+    else:
+        worst, verdicts = judge_all(traces, recording.passages, recording.set.fps)
+        row |= {"verdict": worst.verdict, "reason": worst.reason}
+    row["episodes"] = len(traces)
+    return Evaluation(row, recording, traces, tuple(verdicts))

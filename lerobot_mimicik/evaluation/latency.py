@@ -1,0 +1,49 @@
+"""How long one query takes, asked one at a time as a control loop does."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_mimicik.evaluation.trajectories import Trajectory
+from lerobot_mimicik.solvers.base import IKSolver
+
+WARM_UP_QUERIES = 20
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Duration of one query at batch 1, in ms, over ``queries`` queries after a warm-up."""
+
+    median_ms: float
+    p99_ms: float
+    queries: int
+
+
+def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200) -> Latency:
+    """Time ``solver`` along the recorded frames of one trajectory, from the start again where it ends.
+
+    Args:
+        solver: Is reset, and asked about one configuration at a time.
+        trajectory: Where the questions come from.
+        queries: How many are timed; the first ``WARM_UP_QUERIES`` before them are not.
+
+    Raises:
+        ValueError: If ``queries`` is below one.
+    """
+    if queries < 1:
+        raise ValueError(f"Latency needs at least one query, got {queries}.")
+    single = slice(0, 1) if solver.batched else 0
+    solver.reset(trajectory.q[single])
+    seconds = np.empty(WARM_UP_QUERIES + queries)
+    for i in range(len(seconds)):
+        t = i % len(trajectory)
+        row = slice(t, t + 1) if solver.batched else t
+        q_curr, target = trajectory.q[row], trajectory.target[row]
+        begin = time.perf_counter()
+        solver.solve(q_curr, target)
+        seconds[i] = time.perf_counter() - begin
+    milliseconds = 1e3 * seconds[WARM_UP_QUERIES:]
+    return Latency(float(np.median(milliseconds)), float(np.percentile(milliseconds, 99)), queries)

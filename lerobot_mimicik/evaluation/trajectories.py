@@ -1,0 +1,236 @@
+"""Recorded trajectories to evaluate on, read from a LeRobot dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from lerobot_mimicik.data.columns import flat_names, joint_columns
+from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.solvers.base import Array
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.configuration_mimicik import MimicIKConfig
+
+_STATE, _ACTION = "observation.state", "action"
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One recorded trajectory of T frames.
+
+    Attributes:
+        index: Its episode number in the dataset.
+        q: Measured joints, (T, dof), rad.
+        target: ``T_base_tool`` commanded at each frame, (T, 7), x y z (m) qx qy qz qw.
+    """
+
+    index: int
+    q: Array
+    target: Array
+
+    def __post_init__(self) -> None:
+        if self.q.ndim != 2 or self.target.shape != (len(self.q), 7) or not len(self.q):
+            raise ValueError(
+                f"Trajectory {self.index}: expected q (T, dof) and target (T, 7) with T > 0, "
+                f"got {self.q.shape} and {self.target.shape}."
+            )
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectorySet:
+    """The trajectories of one dataset.
+
+    Attributes:
+        name: How tables call the dataset.
+        root: Its folder.
+        fps: Frames per second.
+        trajectories: At least one.
+    """
+
+    name: str
+    root: Path
+    fps: float
+    trajectories: tuple[Trajectory, ...]
+
+    @property
+    def frames(self) -> int:
+        """Number of frames of all trajectories."""
+        return sum(map(len, self.trajectories))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where a dataset keeps joints and targets; the same words as in the policy's configuration.
+
+    Attributes:
+        joint_units: "rad" or "deg".
+        target: Target joints where no pose is recorded: "action", or the "next_state".
+        target_pose_key: Column of the target pose; FK of the target joints where a dataset lacks it.
+        state_joint_names: Elements of the state that are the joints, in joint order; None finds them by name.
+        action_joint_names: The same for the action.
+    """
+
+    joint_units: str = "rad"
+    target: str = "action"
+    target_pose_key: str = "observation.ee_target"
+    state_joint_names: Sequence[str] | None = None
+    action_joint_names: Sequence[str] | None = None
+
+    @classmethod
+    def of_policy(cls, config: MimicIKConfig) -> Layout:
+        """What a policy was trained to expect."""
+        return cls(
+            joint_units=config.joint_units,
+            target=config.target,
+            target_pose_key=config.target_pose_key,
+            state_joint_names=config.state_joint_names,
+            action_joint_names=config.action_joint_names,
+        )
+
+
+def load_trajectories(
+    root: str | Path,
+    arm: SerialArm,
+    layout: Layout | None = None,
+    episodes: Iterable[int] | None = None,
+    name: str | None = None,
+) -> TrajectorySet:
+    """Read a LeRobot v3 dataset from a folder.
+
+    Args:
+        root: The dataset's folder.
+        arm: Whose joints are read, and whose FK gives the targets where no pose column does; float64.
+        layout: Where the dataset keeps what; None is this project's own layout.
+        episodes: Episode numbers to read; None reads all.
+        name: The set's name; None is the folder's.
+
+    Raises:
+        FileNotFoundError: If ``root`` is no LeRobot dataset.
+        ValueError: If columns or episodes are missing; the message lists what exists.
+    """
+    from lerobot.datasets import LeRobotDatasetMetadata
+
+    root, layout = Path(root), layout or Layout()
+    if not (root / "meta" / "info.json").is_file():
+        raise FileNotFoundError(
+            f"{root} is not a LeRobot dataset: {root / 'meta/info.json'} does not exist."
+            + _nearby_datasets(root)
+        )
+    meta = LeRobotDatasetMetadata(f"local/{root.name}", root=root)
+    columns = _read_columns(root, _wanted(meta.features, layout))
+    joints = _joints(_STATE, columns, meta.features, arm, layout.state_joint_names, layout.joint_units)
+    if layout.target_pose_key in columns:
+        pose = columns[layout.target_pose_key].astype(np.float64)
+    elif layout.target == "action":
+        names = layout.action_joint_names
+        pose = _fk(arm, _joints(_ACTION, columns, meta.features, arm, names, layout.joint_units))
+    else:
+        pose = _fk(arm, np.roll(joints, -1, axis=0))
+    drop_last = layout.target_pose_key not in columns and layout.target == "next_state"
+
+    trajectories = []
+    for index, rows in _episode_rows(columns["episode_index"], episodes, root):
+        # The last frame of an episode has no next state to aim at.
+        rows = slice(rows.start, rows.stop - 1) if drop_last else rows
+        if rows.stop > rows.start:
+            trajectories.append(Trajectory(index, joints[rows], pose[rows]))
+    if not trajectories:
+        raise ValueError(f"{root} has no episode with a frame to evaluate.")
+    return TrajectorySet(name or root.name, root, float(meta.fps), tuple(trajectories))
+
+
+def distinct_names(roots: Sequence[str | Path]) -> list[str]:
+    """The last part of each path, or as many parts as it takes to tell the paths apart."""
+    parts = [Path(root).resolve().parts for root in roots]
+    names = []
+    for own in parts:
+        others = [other for other in parts if other != own]
+        depth = 1
+        while depth < len(own) and any(other[-depth:] == own[-depth:] for other in others):
+            depth += 1
+        names.append("/".join(own[-depth:]))
+    return names
+
+
+def _wanted(features: dict[str, dict[str, Any]], layout: Layout) -> list[str]:
+    """Columns to read: the state, and the target pose or what it is computed from."""
+    source = _ACTION if layout.target == "action" else _STATE
+    target = layout.target_pose_key if layout.target_pose_key in features else source
+    missing = [key for key in (_STATE, target) if key not in features]
+    if missing:
+        raise ValueError(
+            f"The dataset has no column {', '.join(missing)}; it has {', '.join(sorted(features))}."
+        )
+    return sorted({_STATE, target, "episode_index", "index"})
+
+
+def _read_columns(root: Path, names: list[str]) -> dict[str, np.ndarray]:
+    """Whole columns, in the order of the frames: (N,) for numbers, (N, d) for vectors."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    files = sorted((root / "data").glob("*/*.parquet"))
+    if not files:
+        raise FileNotFoundError(f"{root} has no data: {root / 'data'} holds no parquet file.")
+    table = pa.concat_tables([pq.read_table(file, columns=names) for file in files]).sort_by("index")
+    columns = {}
+    for name in names:
+        column = table[name].combine_chunks()
+        if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
+            columns[name] = column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), -1)
+        else:
+            columns[name] = column.to_numpy(zero_copy_only=False)
+    return columns
+
+
+def _joints(
+    key: str,
+    columns: dict[str, np.ndarray],
+    features: dict[str, dict[str, Any]],
+    arm: SerialArm,
+    requested: Sequence[str] | None,
+    units: str,
+) -> Array:
+    """The arm's joints out of a column, (N, dof), rad."""
+    names = flat_names(features[key].get("names"))
+    picked = joint_columns(key, names, columns[key].shape[1], arm.joint_names, requested)
+    joints = columns[key][:, picked].astype(np.float64)
+    return np.radians(joints) if units == "deg" else joints
+
+
+def _fk(arm: SerialArm, q: Array) -> Array:
+    return arm.forward(torch.from_numpy(q)).numpy()
+
+
+def _episode_rows(
+    episode_index: np.ndarray, wanted: Iterable[int] | None, root: Path
+) -> list[tuple[int, slice]]:
+    """(episode, rows) for each wanted episode; frames of an episode are contiguous in a LeRobot dataset."""
+    starts = np.flatnonzero(np.diff(episode_index, prepend=-1))
+    stops = [*starts[1:], len(episode_index)]
+    found = {
+        int(episode_index[start]): slice(int(start), int(stop))
+        for start, stop in zip(starts, stops, strict=True)
+    }
+    chosen = list(found) if wanted is None else list(wanted)
+    missing = [index for index in chosen if index not in found]
+    if missing:
+        raise ValueError(f"{root} has no episode {missing}; it has {min(found)} to {max(found)}.")
+    return [(index, found[index]) for index in chosen]
+
+
+def _nearby_datasets(root: Path) -> str:
+    """A hint where the folder above or the folder itself holds datasets."""
+    found = sorted(
+        {file.parent.parent for base in (root, root.parent) for file in base.glob("*/meta/info.json")}
+    )
+    return f" Datasets nearby: {', '.join(map(str, found))}." if found else ""

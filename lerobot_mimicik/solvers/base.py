@@ -1,0 +1,112 @@
+"""The interface of an inverse-kinematics solver, and the registry of those known by name.
+
+A solver answers one question per control step: the arm is at ``q_curr``, its tool should be at
+``target_pose``, which joints shall be commanded? It sees no future and no recording. Arrays are numpy
+float64; joints are in rad in the order of the arm's ``joint_names``; a pose is ``T_base_tool`` as
+x y z (m) qx qy qz qw.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.kinematics.chain import SerialArm
+
+Array = NDArray[np.float64]
+
+
+class IKSolver(ABC):
+    """One way to turn a measured configuration and a target pose into a joint command.
+
+    Attributes:
+        name: How tables call the solver.
+        batched: Whether ``reset``, ``solve`` and ``select`` take a leading batch axis, one row per arm that
+            is driven independently of the others. Without it they take single configurations only.
+    """
+
+    name: str
+    batched: bool = False
+
+    @abstractmethod
+    def reset(self, q: Array) -> None:
+        """Forget all history; the arm is at rest at ``q`` (dof,), or (B, dof) where ``batched``, in rad."""
+
+    @abstractmethod
+    def solve(self, q_curr: Array, target_pose: Array) -> Array:
+        """The joint command for this control step.
+
+        Args:
+            q_curr: Measured joints, (dof,), or (B, dof) where ``batched``, in rad.
+            target_pose: ``T_base_tool`` to reach, (7,) or (B, 7).
+
+        Returns:
+            Commanded joints, shaped as ``q_curr``, absolute, in rad.
+        """
+
+    def select(self, rows: NDArray[np.intp]) -> None:  # noqa: B027 - most solvers have nothing to do here
+        """Go on with these rows of the batch only, in this order. Stateless solvers need not care."""
+
+    def solve_recorded(self, q_curr: Array, target_pose: Array) -> Array:
+        """Answers along one recorded episode, where every query sees the recorded history before it.
+
+        Args:
+            q_curr: Recorded joints, (T, dof), in rad.
+            target_pose: Recorded targets, (T, 7).
+
+        Returns:
+            (T, dof) commands in rad. A solver that can answer all frames at once overrides this loop.
+        """
+        first = q_curr[:1] if self.batched else q_curr[0]
+        self.reset(first)
+        answers = np.empty_like(q_curr)
+        for t in range(len(q_curr)):
+            row = slice(t, t + 1) if self.batched else t
+            answers[row] = self.solve(q_curr[row], target_pose[row])
+        return answers
+
+
+SolverFactory = Callable[..., IKSolver]
+_FACTORIES: dict[str, SolverFactory] = {}
+
+
+def register_solver(name: str) -> Callable[[SolverFactory], SolverFactory]:
+    """Make ``make_solver(name, arm, **options)`` call the decorated class or function.
+
+    Raises:
+        ValueError: If another solver already has that name.
+    """
+
+    def register(factory: SolverFactory) -> SolverFactory:
+        if _FACTORIES.get(name, factory) is not factory:
+            raise ValueError(f"A solver called {name!r} is already registered: {_FACTORIES[name]!r}.")
+        _FACTORIES[name] = factory
+        return factory
+
+    return register
+
+
+def known_solvers() -> tuple[str, ...]:
+    """Names that ``make_solver`` takes, sorted."""
+    return tuple(sorted(_FACTORIES))
+
+
+def make_solver(name: str, arm: SerialArm, **options: Any) -> IKSolver:
+    """Build a solver by name for an arm.
+
+    Args:
+        name: One of ``known_solvers()``.
+        arm: The arm that it shall solve for.
+        options: Keyword arguments of that solver.
+
+    Raises:
+        ValueError: If no solver has that name.
+    """
+    if name not in _FACTORIES:
+        raise ValueError(f"Unknown solver {name!r}; known are {', '.join(known_solvers()) or 'none'}.")
+    return _FACTORIES[name](arm, **options)

@@ -1,0 +1,28 @@
+"""Holding still: the command is where the arm already is, which shows what the data alone gives."""
+
+from __future__ import annotations
+
+from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
+
+
+@register_solver("hold")
+class HoldSolver(IKSolver):
+    """Answers ``q_curr`` to every question (delta q = 0)."""
+
+    name = "hold"
+    batched = True
+
+    def __init__(self, arm: SerialArm) -> None:
+        self.arm = arm
+
+    def reset(self, q: Array) -> None:
+        """Nothing to forget."""
+
+    def solve(self, q_curr: Array, target_pose: Array) -> Array:
+        """``q_curr`` itself, whatever the target."""
+        return q_curr.copy()
+
+    def solve_recorded(self, q_curr: Array, target_pose: Array) -> Array:
+        """``q_curr`` itself, all frames at once."""
+        return q_curr.copy()

@@ -1,0 +1,146 @@
+"""A trained MimicIK policy as a solver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+
+
+@register_solver("mimicik")
+class MimicIKSolver(IKSolver):
+    """Asks a MimicIK policy, and keeps the few frames of history that it looks at.
+
+    The history lives here rather than in the policy so that rows of a batch may end at different times
+    (``select``). Before the first step the history is the first frame repeated, as in training.
+    """
+
+    batched = True
+
+    def __init__(
+        self,
+        arm: SerialArm,
+        policy: MimicIKPolicy | str,
+        name: str = "mimicik",
+        device: str | None = None,
+        chunk: int = 4096,
+    ) -> None:
+        """
+        Args:
+            arm: The arm of the recordings; must have as many joints as the policy's own.
+            policy: A loaded policy, or a folder or Hub repository to load it from.
+            name: How tables call it.
+            device: Where the policy runs; None leaves a loaded policy where it is.
+            chunk: Most queries answered in one forward pass by ``solve_recorded``.
+
+        Raises:
+            ValueError: If the policy drives another number of joints than ``arm`` has.
+        """
+        self.policy: MimicIKPolicy = load_policy(policy, device) if isinstance(policy, str) else policy
+        if device is not None:
+            self.policy = self.policy.to(device)
+        own = self.policy.arm
+        if own.dof != arm.dof:
+            raise ValueError(
+                f"The policy drives {own.dof} joints {own.joint_names}, "
+                f"the recordings have {arm.dof}: {arm.joint_names}."
+            )
+        self.policy.eval()
+        self.name = name
+        self.steps = int(self.policy.config.n_obs_steps)
+        self.chunk = chunk
+        self._device = next(self.policy.parameters()).device
+        self._q: Array | None = None
+        self._target: Array | None = None
+
+    def reset(self, q: Array) -> None:
+        """Forget the history; the next ``solve`` starts a new one."""
+        self._q = None
+        self._target = None
+
+    def select(self, rows: NDArray[np.intp]) -> None:
+        """Keep the history of these rows."""
+        if self._q is not None and self._target is not None:
+            self._q, self._target = self._q[rows], self._target[rows]
+
+    def solve(self, q_curr: Array, target_pose: Array) -> Array:
+        """The policy's command; (B, dof) and (B, 7), or (dof,) and (7,)."""
+        if q_curr.ndim == 1:
+            return self.solve(q_curr[None], target_pose[None])[0]
+        self._q = _push(self._q, q_curr, self.steps)
+        self._target = _push(self._target, target_pose, self.steps)
+        return self._ask(self._q, self._target)
+
+    def solve_recorded(self, q_curr: Array, target_pose: Array) -> Array:
+        """All frames of one recording, in as few forward passes as ``chunk`` allows."""
+        ages = np.arange(self.steps)[::-1]
+        frames = np.maximum(np.arange(len(q_curr))[:, None] - ages, 0)
+        answers = [
+            self._ask(q_curr[window], target_pose[window])
+            for window in np.split(frames, range(self.chunk, len(frames), self.chunk))
+        ]
+        return np.concatenate(answers)
+
+    def _ask(self, q: Array, target: Array) -> Array:
+        """(B, T_o, dof) and (B, T_o, 7) -> (B, dof)."""
+        to_tensor = {"dtype": torch.float32, "device": self._device}
+        with torch.inference_mode():
+            command = self.policy.predict_joints(
+                torch.as_tensor(q, **to_tensor), torch.as_tensor(target, **to_tensor)
+            )
+        return command.double().cpu().numpy()
+
+
+def find_checkpoint(path: str) -> str:
+    """The folder of the weights, given it, a training run's checkpoint, or a run's output folder.
+
+    Anything that is no folder is returned as it is: it may be a Hub repository.
+
+    Raises:
+        FileNotFoundError: If the folder holds no checkpoint, or the path looks like no repository either.
+    """
+    folder = Path(path)
+    inside = (".", "pretrained_model", "checkpoints/last/pretrained_model")
+    if folder.is_dir():
+        for candidate in inside:
+            if (folder / candidate / "config.json").is_file():
+                return str(folder / candidate)
+        raise FileNotFoundError(
+            f"{path} holds no checkpoint: expected config.json in it, or in {' or '.join(inside[1:])} below."
+        )
+    if path.startswith((".", "/", "~")) or path.count("/") != 1:
+        raise FileNotFoundError(
+            f"The checkpoint {path} does not exist, and this is no Hub repository (user/name)."
+        )
+    return path
+
+
+def load_policy(path: str, device: str | None = None) -> MimicIKPolicy:
+    """Load a policy from ``find_checkpoint(path)``, onto a device if one is given.
+
+    Raises:
+        FileNotFoundError: If there is no checkpoint.
+    """
+    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+
+    policy = MimicIKPolicy.from_pretrained(find_checkpoint(path))
+    if device is not None:
+        policy.config.device = device
+        policy = policy.to(device)
+    return policy
+
+
+def _push(history: Array | None, frame: Array, steps: int) -> Array:
+    """Append a frame (B, n) to a history (B, steps, n), dropping the oldest; None starts one."""
+    if history is None:
+        return np.repeat(frame[:, None], steps, axis=1)
+    return np.concatenate([history[:, 1:], frame[:, None]], axis=1)

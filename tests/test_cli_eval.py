@@ -1,0 +1,121 @@
+"""`mimicik eval` from the command line to report.json, with an untrained policy."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from evaluation_cases import airbot, trajectory
+from lerobot.datasets import LeRobotDataset
+
+from lerobot_mimicik.cli.main import main
+from lerobot_mimicik.configuration_mimicik import MimicIKConfig
+from lerobot_mimicik.data.loading import FrameTable
+from lerobot_mimicik.data.writer import Episode, write_dataset
+from lerobot_mimicik.evaluation.report import ROW_KEYS
+from lerobot_mimicik.evaluation.rollouts import make_rollouts
+from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+from lerobot_mimicik.solvers import make_solver
+from lerobot_mimicik.solvers.mimicik import find_checkpoint
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with dataset data/ and checkpoint run/checkpoints/last/pretrained_model/."""
+    root = tmp_path_factory.mktemp("eval")
+    episodes = []
+    for i, length in enumerate((15, 9)):
+        one = trajectory(length, index=i)
+        pose = airbot().forward(torch.from_numpy(one.q)).numpy()
+        episodes.append(Episode(one.q, np.roll(one.q, -1, axis=0), pose, one.target, "move", "s"))
+    write_dataset(root / "data", "local/data", episodes, airbot().description)
+    dataset = LeRobotDataset("local/data", root=root / "data")
+    torch.manual_seed(0)
+    config = MimicIKConfig(d_model=16, n_layers=1, n_heads=2, d_ff=16, device="cpu")
+    config.set_dataset_feature_metadata(dataset.meta.features)
+    policy = MimicIKPolicy(config)
+    policy.fit_normalisation(FrameTable(dataset))
+    policy.save_pretrained(root / "run" / "checkpoints" / "last" / "pretrained_model")
+    return root
+
+
+def test_the_report_has_all_rows_and_hold_among_them(made, capsys):
+    status = main(
+        [
+            "eval",
+            f"--policy.path={made / 'run'}",
+            f"--dataset.root={made / 'data'}",
+            "--mode=open_loop,closed_loop",
+            f"--out={made / 'out'}",
+            "--solvers=mimicik",
+            "--latency_queries=3",
+        ]
+    )
+    assert status == 0
+    assert "| hold | closed loop |" in capsys.readouterr().out
+    report = json.loads((made / "out" / "report.json").read_text())
+    assert [(row["solver"], row["mode"]) for row in report["rows"]] == [
+        ("mimicik", "open_loop"),
+        ("hold", "open_loop"),
+        ("mimicik", "closed_loop"),
+        ("hold", "closed_loop"),
+    ]
+    for row in report["rows"]:
+        assert set(ROW_KEYS) <= set(row)
+        assert row["frames"] == 24
+    assert "| hold |" in (made / "out" / "report.md").read_text()
+
+
+def test_without_a_policy_the_arm_comes_from_the_dataset(made):
+    out = made / "hold"
+    assert main(["eval", f"--dataset.root={made / 'data'}", f"--out={out}", "--episodes=1"]) == 0
+    rows = json.loads((out / "report.json").read_text())["rows"]
+    assert [(row["solver"], row["frames"]) for row in rows] == [("hold", 9), ("hold", 9)]
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("--mode=half_open", "open_loop, closed_loop"),
+        ("--solvers=hold,magic", "known are hold"),
+        ("--solvers=mimicik", "--policy.path is missing"),
+        ("--episodes=one", "'one'"),
+        ("--policy.path=nowhere/at/all", "nowhere/at/all"),
+    ],
+)
+def test_wrong_options_are_refused_with_what_exists(made, option, message, capsys):
+    assert main(["eval", f"--dataset.root={made / 'data'}", option]) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_a_checkpoint_is_found_from_any_folder_above_it(made):
+    weights = made / "run" / "checkpoints" / "last" / "pretrained_model"
+    for folder in (weights, weights.parent, made / "run"):
+        assert find_checkpoint(str(folder)).endswith("pretrained_model") or folder == weights
+    with pytest.raises(FileNotFoundError, match="holds no checkpoint"):
+        find_checkpoint(str(made / "data"))
+    assert find_checkpoint("user/name") == "user/name"
+
+
+def test_the_solver_asks_the_policy_the_same_in_every_way(made):
+    """Vectorised windows, step by step, in lockstep, and the policy's own memory give the same commands."""
+    solver = make_solver("mimicik", airbot(), policy=str(made / "run"))
+    long, short = trajectory(12), trajectory(7, index=1)
+    whole = solver.solve_recorded(long.q, long.target)
+    solver.reset(long.q[:1])
+    steps = np.concatenate(
+        [solver.solve(long.q[t : t + 1], long.target[t : t + 1]) for t in range(len(long))]
+    )
+    np.testing.assert_allclose(steps, whole, atol=1e-5)
+
+    solver.policy.reset()
+    own = [
+        solver.policy.predict_joints(torch.tensor(q)[None].float(), torch.tensor(x)[None].float())[0].numpy()
+        for q, x in zip(long.q, long.target, strict=True)
+    ]
+    np.testing.assert_allclose(own, whole, atol=1e-5)
+
+    together = make_rollouts("closed_loop", solver, [short, long])
+    apart = [make_rollouts("closed_loop", solver, [one])[0] for one in (short, long)]
+    for a, b in zip(together, apart, strict=True):
+        np.testing.assert_allclose(a.q_cmd, b.q_cmd, atol=1e-5)

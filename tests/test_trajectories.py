@@ -1,0 +1,97 @@
+"""Properties of reading trajectories from LeRobot datasets."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from evaluation_cases import airbot, trajectory
+
+from lerobot_mimicik.data.writer import Episode, write_dataset
+from lerobot_mimicik.evaluation.trajectories import Layout, Trajectory, distinct_names, load_trajectories
+
+
+def fk(q):
+    return airbot().forward(torch.from_numpy(q)).numpy()
+
+
+def write(root, lengths, gripper=False):
+    """A dataset of smooth motion; returns its trajectories."""
+    recorded = [trajectory(length, index=i) for i, length in enumerate(lengths)]
+    episodes = [
+        Episode(
+            state=one.q,
+            action=np.roll(one.q, -1, axis=0),
+            ee_pose=fk(one.q),
+            ee_target=one.target,
+            task="move",
+            session="s",
+            gripper=np.zeros((len(one), 2)) if gripper else None,
+        )
+        for one in recorded
+    ]
+    write_dataset(root, "local/test", episodes, airbot().description)
+    return recorded
+
+
+@pytest.mark.parametrize("gripper", [False, True])
+def test_what_was_written_is_read(tmp_path, gripper):
+    recorded = write(tmp_path / "data", [12, 7, 20], gripper)
+    found = load_trajectories(tmp_path / "data", airbot())
+    assert (found.name, found.fps, found.frames) == ("data", 20.0, 39)
+    for i, (one, expected) in enumerate(zip(found.trajectories, recorded, strict=True)):
+        assert one.index == i
+        np.testing.assert_allclose(one.q, expected.q, atol=1e-6)
+        np.testing.assert_allclose(one.target, expected.target, atol=1e-6)
+
+
+def test_episodes_are_chosen_by_number(tmp_path):
+    write(tmp_path / "data", [12, 7, 20])
+    found = load_trajectories(tmp_path / "data", airbot(), episodes=[2, 0])
+    assert [(one.index, len(one)) for one in found.trajectories] == [(2, 20), (0, 12)]
+    with pytest.raises(ValueError, match=r"no episode \[5\]; it has 0 to 2"):
+        load_trajectories(tmp_path / "data", airbot(), episodes=[1, 5])
+
+
+def test_without_a_pose_column_the_target_is_fk_of_the_target_joints(tmp_path):
+    recorded = write(tmp_path / "data", [12])[0]
+    by_action = load_trajectories(tmp_path / "data", airbot(), Layout(target_pose_key="observation.absent"))
+    (one,) = by_action.trajectories
+    np.testing.assert_allclose(one.target, fk(np.roll(recorded.q, -1, axis=0)), atol=1e-6)
+    layout = Layout(target="next_state", target_pose_key="observation.absent")
+    (one,) = load_trajectories(tmp_path / "data", airbot(), layout).trajectories
+    assert len(one) == 11
+    np.testing.assert_allclose(one.target, fk(recorded.q[1:]), atol=1e-6)
+
+
+def test_degrees_are_read_as_radians(tmp_path):
+    recorded = write(tmp_path / "data", [12])[0]
+    (one,) = load_trajectories(tmp_path / "data", airbot(), Layout(joint_units="deg")).trajectories
+    np.testing.assert_allclose(one.q, np.radians(recorded.q), atol=1e-6)
+
+
+def test_a_folder_that_is_no_dataset_is_refused_with_those_nearby(tmp_path):
+    write(tmp_path / "made" / "train", [5])
+    with pytest.raises(FileNotFoundError, match=r"(?s)not a LeRobot dataset.*made/train"):
+        load_trajectories(tmp_path / "made", airbot())
+
+
+def test_a_missing_column_is_named_with_those_that_exist(tmp_path):
+    write(tmp_path / "data", [5])
+    path = tmp_path / "data" / "meta" / "info.json"
+    info = json.loads(path.read_text())
+    for key in ("action", "observation.ee_target"):
+        del info["features"][key]
+    path.write_text(json.dumps(info))
+    with pytest.raises(ValueError, match=r"(?s)no column action; it has .*observation\.state"):
+        load_trajectories(tmp_path / "data", airbot())
+
+
+def test_datasets_are_called_by_as_little_of_their_path_as_tells_them_apart():
+    assert distinct_names(["/a/x/test", "/a/y/test", "/a/ood"]) == ["x/test", "y/test", "ood"]
+    assert distinct_names(["/a/test"]) == ["test"]
+
+
+def test_shapes_that_do_not_belong_together_are_refused():
+    with pytest.raises(ValueError, match="Trajectory 3"):
+        Trajectory(3, np.zeros((4, 6)), np.zeros((5, 7)))
