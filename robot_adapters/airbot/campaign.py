@@ -1,0 +1,182 @@
+"""The fault campaign: seeded faults while the arm tracks, each judged by how the arm and its commands ended.
+
+Every case runs in simulated time on a bus of its own with an independent listener. What a fault may lead to
+is stated here as a rule of its kind and length, not read from the driver.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from robot_adapters.airbot.arm import StartRefusedError
+from robot_adapters.airbot.bus import BusError
+from robot_adapters.airbot.cell import SimulatedCell
+from robot_adapters.airbot.control import ArmMode
+from robot_adapters.airbot.faults import Fault, FaultKind, random_fault
+from robot_adapters.airbot.settings import AirbotSettings
+from robot_adapters.airbot.startup import RangeError
+from robot_adapters.safety import SafetyLimits
+
+_FAULT_AT = 0.2  # s after the start of tracking
+_LONGEST = 1.2  # s of a lasting fault that are watched
+_WATCHED = 0.4  # s watched after the end of a fault
+_PERIOD = 0.05  # s between targets
+_GRACE = 0.02  # s: some ticks of the loop and some frames of debouncing
+
+
+class Outcome(enum.StrEnum):
+    """How a case ended, from mild to severe."""
+
+    TRACKING = "tracking"  # never anything but tracking
+    HOLD = "hold"  # held for a while; tracking or holding at the end
+    STOP = "stop"  # stopped, or did not start
+
+
+@dataclass(frozen=True)
+class FaultCase:
+    """One case of the campaign: what was done, how it ended and what was wrong with that, if anything."""
+
+    seed: int
+    fault: Fault
+    outcome: Outcome
+    events: tuple[str, ...]
+    complaints: tuple[str, ...]
+    commands: int
+    largest_step: float
+
+
+@dataclass
+class CampaignReport:
+    """All cases; `passed` when none of them has a complaint."""
+
+    cases: list[FaultCase] = field(default_factory=list)
+
+    @property
+    def passed(self) -> bool:
+        """Whether every case ended as specified without a violating frame."""
+        return not self.failures
+
+    @property
+    def failures(self) -> list[FaultCase]:
+        """The cases with complaints."""
+        return [case for case in self.cases if case.complaints]
+
+    @property
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Number of outcomes by kind of fault."""
+        found = Counter((case.fault.kind.value, case.outcome.value) for case in self.cases)
+        kinds = sorted({kind for kind, _ in found})
+        return {kind: {end: n for (k, end), n in sorted(found.items()) if k == kind} for kind in kinds}
+
+    @property
+    def commands(self) -> int:
+        """Command frames that the listeners judged."""
+        return sum(case.commands for case in self.cases)
+
+
+def run_campaign(count: int, seed: int = 0, kinds: Sequence[FaultKind] = tuple(FaultKind)) -> CampaignReport:
+    """Run `count` cases with faults of `kinds`; the same seed gives the same report."""
+    return CampaignReport(list(campaign_cases(count, seed, kinds)))
+
+
+def campaign_cases(
+    count: int, seed: int = 0, kinds: Sequence[FaultKind] = tuple(FaultKind)
+) -> Iterator[FaultCase]:
+    """The cases of `run_campaign` as they are done."""
+    for number in range(count):
+        case_seed = seed * 1_000_003 + number
+        random = np.random.default_rng(case_seed)
+        yield run_case(random_fault(random, _FAULT_AT, kinds), case_seed)
+
+
+def run_case(fault: Fault, seed: int = 0) -> FaultCase:
+    """Track a smooth motion, let the fault strike, `fault.start` after tracking began, and watch."""
+    random = np.random.default_rng(seed)
+    amplitude, phase = random.uniform(0.05, 0.35, 6), random.uniform(0.0, 2 * math.pi, 6)
+    end = _FAULT_AT + min(fault.duration, _LONGEST) + _WATCHED
+    quick = AirbotSettings(shutdown=0.02)
+    faults = [fault] if fault.start == 0 else ()
+    with SimulatedCell(seed=seed, listen=True, settings=quick, faults=faults) as cell:
+        assert cell.listener is not None
+        modes: list[ArmMode] = []
+        names: list[str] = []
+        try:
+            cell.arm.connect()
+        except (BusError, RangeError, StartRefusedError) as error:
+            names.append(type(error).__name__)
+            outcome = Outcome.STOP
+        else:
+            start = cell.clock.monotonic()
+            if fault.start > 0:
+                moved = Fault(
+                    fault.kind,
+                    fault.motor_id,
+                    start + fault.start,
+                    fault.duration,
+                    fault.rate,
+                    fault.magnitude,
+                )
+                cell.simulation.faults.faults.append(moved)
+            home = cell.arm.read().q
+            while (t := cell.clock.monotonic() - start) < end:
+                wave = amplitude * (np.sin(1.2 * t + phase) - np.sin(phase))
+                result = cell.arm.command(home + wave)
+                names += [event.name for event in result.events]
+                for _ in range(5):
+                    cell.clock.sleep(_PERIOD / 5)
+                    modes.append(cell.arm.mode)
+            outcome = _outcome(modes)
+        complaints = _complaints(cell, fault, outcome, modes)
+        commands, largest = cell.listener.commands, cell.listener.largest_step
+    complaints += [f"on the bus: {violation}" for violation in cell.listener.violations[:3]]
+    return FaultCase(seed, fault, outcome, tuple(dict.fromkeys(names)), tuple(complaints), commands, largest)
+
+
+def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[Outcome]:
+    """The outcomes that a fault may have.
+
+    Damaged or missing frames lead to tracking, or to a hold where feedback stays away for more than its
+    timeout, or to a stop where it does for more than the timeout of a lost motor. Errors, heat and a
+    controller off the bus lead to a stop, wrong ranges to no start.
+    """
+    limits = limits or SafetyLimits()
+    stops = (FaultKind.MOTOR_ERROR, FaultKind.OVER_TEMPERATURE, FaultKind.BUS_OFF, FaultKind.WRONG_RANGES)
+    if fault.kind in stops:
+        return {Outcome.STOP}
+    if fault.kind is FaultKind.DUPLICATED:
+        return {Outcome.TRACKING}
+    silence = fault.duration if fault.kind is not FaultKind.DELAYED else min(fault.duration, fault.magnitude)
+    certain = fault.kind is FaultKind.SILENT_MOTOR or (fault.kind is FaultKind.DROPPED and fault.rate == 1.0)
+    allowed = set() if certain and silence > limits.feedback_timeout + _GRACE else {Outcome.TRACKING}
+    if silence > limits.feedback_timeout - _GRACE:
+        allowed.add(Outcome.HOLD)
+    if silence > limits.lost_timeout - _GRACE:
+        allowed.add(Outcome.STOP)
+        if certain and silence > limits.lost_timeout + _GRACE:
+            allowed.discard(Outcome.HOLD)
+    return allowed
+
+
+def _outcome(modes: list[ArmMode]) -> Outcome:
+    # The loop holds until the first target comes.
+    if ArmMode.STOPPED in modes:
+        return Outcome.STOP
+    return Outcome.HOLD if ArmMode.HOLD in modes[1:] else Outcome.TRACKING
+
+
+def _complaints(cell: SimulatedCell, fault: Fault, outcome: Outcome, modes: list[ArmMode]) -> list[str]:
+    complaints = []
+    allowed = specified_outcomes(fault)
+    if outcome not in allowed:
+        complaints.append(f"ended in {outcome}, specified: {', '.join(sorted(allowed))}")
+    if cell.simulation.emergency_stopped:
+        complaints.append("the motors stopped in emergency")
+    if fault.duration < _LONGEST and outcome is not Outcome.STOP and modes[-1] is not ArmMode.TRACKING:
+        complaints.append("did not track again after the fault was over")
+    return complaints

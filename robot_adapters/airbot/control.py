@@ -1,0 +1,283 @@
+"""The control loop of the AIRBOT Play: one tick reads feedback, judges the arm's state and commands every
+motor.
+
+A tick is a plain call, so that a thread runs it at 250 Hz on a real clock and a schedule on a simulated one.
+
+    target accepted            targets older than 250 ms,
+      ----------->  TRACKING  feedback older than 100 ms, arm not following  ----->  HOLD
+          ^                                                                           |
+          +------------------------------ target accepted ----------------------------+
+    TRACKING or HOLD  -- motor error, over-temperature, bus off, motor lost -->  STOPPED (until reconnected)
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import threading
+from collections import deque
+
+import can
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_adapters.airbot.bus import BusError, reports_bus_off, send
+from robot_adapters.airbot.feedback import FeedbackTable
+from robot_adapters.airbot.gravity import GravityModel
+from robot_adapters.airbot.gripper import MAX_OPENING, motor_angle_from_opening
+from robot_adapters.airbot.interpolation import Interpolator
+from robot_adapters.airbot.protocol import Motor, MotorFeedback
+from robot_adapters.airbot.settings import AirbotSettings
+from robot_adapters.airbot.statistics import Recorder
+from robot_adapters.clock import Clock
+from robot_adapters.safety import (
+    ArmStopped,
+    BusOff,
+    CommandStatus,
+    CommandTimeout,
+    FeedbackTimeout,
+    FollowingError,
+    JointLimitViolation,
+    NonFiniteCommand,
+    SafetyEvent,
+    SafetyGate,
+    Verdict,
+)
+
+_SEND_FAILURES = 25  # ticks in a row without a frame sent before the bus counts as off
+_TORQUE_SHARE = 0.8  # of the motor's torque range that the feed-forward may take
+_EVENTS_KEPT = 1000
+
+
+class ArmMode(enum.StrEnum):
+    """What the control loop is doing."""
+
+    TRACKING = "tracking"
+    HOLD = "hold"
+    STOPPED = "stopped"
+
+
+class ControlLoop:
+    """The state of one running arm. `tick` runs in one thread; the other methods may be called from any."""
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        clock: Clock,
+        motors: list[Motor],
+        gate: SafetyGate,
+        gravity: GravityModel,
+        factors: ArrayLike,
+        settings: AirbotSettings,
+        q: ArrayLike,
+        gripper_angle: float | None,
+    ) -> None:
+        """Starts holding `q` [rad] (dof,), the measured angles; `motors` in joint order, then the gripper's,
+        if any.
+        """
+        self.bus, self.clock, self.gate, self.settings = bus, clock, gate, settings
+        self.motors, self.dof = motors, len(gate.joint_names)
+        self.limits = gate.limits
+        self.table = FeedbackTable(motors, self.dof, self.limits)
+        self.recorder = Recorder()
+        self.mode = ArmMode.HOLD
+        self.lock = threading.RLock()
+        self._gravity, self._factors = gravity, np.asarray(factors, dtype=float)
+        self._torque_limits = np.array([_TORQUE_SHARE * m.torque_range.high for m in motors[: self.dof]])
+        speed = min(self.limits.max_step / self.limits.frame, self.limits.max_velocity)
+        self._setpoint = Interpolator(q, speed)
+        # A tick that comes late must not catch up in one step.
+        self._speed, self._longest_step = speed, 2.0 / settings.rate
+        self._sent, self._sent_at = np.array(q, dtype=float), clock.monotonic()
+        self._gripper = None if gripper_angle is None else Interpolator([gripper_angle], 5.0)
+        self._decoders = _decoders(motors)
+        self._target_stamp = clock.monotonic()
+        self._had_target = False
+        self._started = clock.monotonic()
+        self._silent_ticks = 0
+        self._gain_scale = self._torque_scale = 1.0
+        self._damping: NDArray[np.float64] | None = None
+        self._news: deque[SafetyEvent] = deque(maxlen=_EVENTS_KEPT)
+        self.stop_event: SafetyEvent | None = None
+
+    def submit(self, q: ArrayLike, opening: float | None = None) -> Verdict:
+        """Judge a target [rad] (dof,) with a gripper opening [m], and follow it unless refused.
+
+        The verdict's `q` is the target in force after it, and its events include the loop's since the last
+        call.
+        """
+        with self.lock:
+            now = self.clock.monotonic()
+            if self.mode is ArmMode.STOPPED:
+                cause = (
+                    self.stop_event.message
+                    if self.stop_event
+                    else "close() or a signal: it is being let down"
+                )
+                verdict = _refusal(ArmStopped(f"stopped by {cause}"))
+            else:
+                verdict = self._judge(q, opening, now)
+            self.recorder.targets[verdict.status] += 1
+            for event in verdict.events:
+                self.recorder.events[event.name] += 1
+            if verdict.q is not None:
+                self._setpoint.aim(verdict.q, now)
+                self._target_stamp, self._had_target = now, True
+                self.mode = ArmMode.TRACKING
+                if opening is not None and self._gripper is not None:
+                    self._gripper.aim([motor_angle_from_opening(min(max(opening, 0.0), MAX_OPENING))], now)
+            return Verdict(verdict.status, self._setpoint.target.copy(), self.news() + verdict.events)
+
+    def news(self) -> tuple[SafetyEvent, ...]:
+        """The events of the control loop since the last call."""
+        with self.lock:
+            events = tuple(self._news)
+            self._news.clear()
+            return events
+
+    def stop(self, event: SafetyEvent) -> None:
+        """Stop for a reason: hold the measured position and refuse targets from now on."""
+        with self.lock:
+            if self.mode is not ArmMode.STOPPED:
+                self._hold(self.clock.monotonic(), event)
+                self.mode, self.stop_event = ArmMode.STOPPED, event
+
+    def end(self) -> None:
+        """Refuse targets from now on, because the arm is being let down; not an event."""
+        with self.lock:
+            if self.mode is not ArmMode.STOPPED:
+                now = self.clock.monotonic()
+                self._setpoint.settle(self._setpoint.sample(now)[0], now)
+                self.mode, self.stop_event = ArmMode.STOPPED, None
+
+    def relax(self, gain_scale: float, torque_scale: float, damping: ArrayLike | None) -> None:
+        """Scale stiffness and gravity feed-forward, and replace the joints' damping, on the way to switching
+        off.
+        """
+        with self.lock:
+            self._gain_scale, self._torque_scale = gain_scale, torque_scale
+            self._damping = None if damping is None else np.asarray(damping, dtype=float)
+
+    def tick(self) -> None:
+        """One period of the loop."""
+        with self.lock:
+            start = self.clock.monotonic()
+            self._read(start)
+            age, quietest = self.table.oldest(start)
+            age = min(age, start - self._started)
+            self._supervise(start, age, quietest)
+            if not isinstance(self.stop_event, BusOff):
+                self._command(start)
+            self.recorder.tick(start, self.clock.monotonic(), age)
+
+    def _judge(self, q: ArrayLike, opening: float | None, now: float) -> Verdict:
+        age, quietest = self.table.oldest(now)
+        if age > self.limits.feedback_timeout:
+            silence = min(age, now - self._started) * 1e3
+            return _refusal(FeedbackTimeout(f"motor {quietest} silent for {silence:.0f} ms"))
+        elapsed = now - self._target_stamp if self._had_target else self.limits.frame
+        if opening is not None and not math.isfinite(opening):
+            return _refusal(NonFiniteCommand(f"gripper opening {opening}"))
+        verdict = self.gate.admit(q, self._setpoint.target, elapsed)
+        if verdict.q is None or opening is None or 0.0 <= opening <= MAX_OPENING:
+            return verdict
+        event = JointLimitViolation(f"gripper opening {opening:.4f} m outside [0, {MAX_OPENING}]")
+        return Verdict(CommandStatus.LIMITED, verdict.q, (*verdict.events, event))
+
+    def _read(self, now: float) -> None:
+        while (message := self.bus.recv(0.0)) is not None:
+            if reports_bus_off(message):
+                self.stop(BusOff("the CAN controller reports that it is off the bus"))
+                continue
+            motor = self._decoders.get(message.arbitration_id)
+            reply = motor.decode(message) if motor else None
+            if isinstance(reply, MotorFeedback):
+                self.table.update(reply, now)
+            elif reply is None and not (motor and motor.decode_mit(message)):
+                # Some interfaces give back one's own frames: commands are not unknown.
+                self.recorder.unknown += 1
+
+    def _supervise(self, now: float, age: float, quietest: int) -> None:
+        for event in self.table.troubles():
+            self.stop(event)
+        if age > self.limits.feedback_timeout:
+            event = FeedbackTimeout(
+                f"motor {quietest} silent for more than {self.limits.feedback_timeout * 1e3:.0f} ms"
+            )
+            if age > self.limits.lost_timeout:
+                self.stop(FeedbackTimeout(f"motor {quietest} lost: silent for {age:.1f} s"))
+            elif self.mode is ArmMode.TRACKING:
+                self._hold(now, event)
+        if self.mode is not ArmMode.TRACKING:
+            return
+        if now - self._target_stamp > self.limits.target_timeout:
+            self._hold(now, CommandTimeout(f"no target for {self.limits.target_timeout * 1e3:.0f} ms"))
+            return
+        setpoint, _ = self._setpoint.sample(now)
+        errors = np.abs(setpoint - self.table.joints()[0])
+        worst = int(np.argmax(errors))
+        if errors[worst] > self.limits.max_following_error:
+            self._hold(
+                now, FollowingError(f"{self.gate.joint_names[worst]} is {errors[worst]:.2f} rad behind")
+            )
+
+    def _hold(self, now: float, event: SafetyEvent) -> None:
+        measured = self.table.joints()[0]
+        setpoint, _ = self._setpoint.sample(now)
+        known = np.where(np.isfinite(measured), measured, setpoint)
+        self._setpoint.settle(np.clip(known, self.gate.lower, self.gate.upper), now)
+        if self._gripper is not None:
+            self._gripper.settle(self._gripper.sample(now)[0], now)
+        self.mode = ArmMode.HOLD
+        self.recorder.events[event.name] += 1
+        self._news.append(event)
+
+    def _command(self, now: float) -> None:
+        settings = self.settings
+        position, velocity = self._setpoint.sample(now)
+        reach = self._speed * min(now - self._sent_at, self._longest_step) + 1e-9
+        position = self._sent + np.clip(position - self._sent, -reach, reach)
+        velocity = velocity * settings.velocity_feedforward
+        self._sent, self._sent_at = position, now
+        measured = self.table.joints()[0]
+        known = np.where(np.isfinite(measured), measured, position)
+        torque = self._torque_scale * self._factors * self._gravity.torques(known)
+        torque = np.clip(torque, -self._torque_limits, self._torque_limits)
+        damping = settings.kd if self._damping is None else self._damping
+        failures = 0
+        for joint, motor in enumerate(self.motors[: self.dof]):
+            kp = self._gain_scale * settings.kp[joint]
+            law = (position[joint], velocity[joint], torque[joint], kp, damping[joint])
+            if self.mode is ArmMode.STOPPED and self.table.records[motor.id].trouble(self.limits):
+                law = (position[joint], 0.0, 0.0, 0.0, damping[joint])
+            failures += self._send(motor.encode_mit(*law))
+        if self._gripper is not None:
+            angle, rate = self._gripper.sample(now)
+            kp, kd = self._gain_scale * settings.gripper_kp, settings.gripper_kd
+            failures += self._send(self.motors[-1].encode_mit(angle[0], rate[0], 0.0, kp, kd))
+        self._silent_ticks = self._silent_ticks + 1 if failures == len(self.motors) else 0
+        if self._silent_ticks >= _SEND_FAILURES:
+            self.stop(BusOff(f"no frame could be sent for {_SEND_FAILURES} ticks"))
+
+    def _send(self, message: can.Message) -> bool:
+        """Send a frame; True when that failed."""
+        try:
+            send(self.bus, message)
+        except BusError:
+            self.recorder.send_errors += 1
+            return True
+        self.recorder.sent += 1
+        return False
+
+
+def _refusal(event: SafetyEvent) -> Verdict:
+    return Verdict(CommandStatus.REFUSED, None, (event,))
+
+
+def _decoders(motors: list[Motor]) -> dict[int, Motor]:
+    """Which motor sends on which id."""
+    by_id: dict[int, Motor] = {}
+    for motor in motors:
+        for offset in (0x000, 0x100) if motor.family == "od" else (0x700,):
+            by_id[offset | motor.id] = motor
+    return by_id

@@ -1,0 +1,49 @@
+"""Codecs of the AIRBOT Play's CAN bus: pure functions between values and `can.Message`.
+
+`OdMotor` (joints 1 to 3) and `DmMotor` (joints 4 to 6 and the G2 gripper) have the same face: `encode_mit`
+and the other commands make frames, `decode` reads what the motor sent. `Board` reads the base and end boards.
+The motors' own side of the talk, `decode_mit`, `decode_request`, `encode_feedback` and the like, serves the
+simulated arm and listeners on the bus. No decoder raises on any byte string of any length: what it does not
+know is None.
+"""
+
+from __future__ import annotations
+
+from robot_adapters.airbot.boards import BASE_BOARD_ID, END_BOARD_ID, Board, BoardRegister, Tool
+from robot_adapters.airbot.dm_motor import DM_ENABLED, DM_ERRORS, MIT_MODE, DmLifecycle, DmMotor, DmRegister
+from robot_adapters.airbot.frames import MitCommand, MotorFeedback, ParameterReply, ParameterRequest
+from robot_adapters.airbot.gripper import motor_angle_from_opening, opening_from_motor_angle
+from robot_adapters.airbot.od_motor import OD_ERRORS, OdMotor, OdRegister
+
+__all__ = [
+    "BASE_BOARD_ID",
+    "END_BOARD_ID",
+    "MIT_MODE",
+    "OD_JOINTS",
+    "Board",
+    "BoardRegister",
+    "DmLifecycle",
+    "DmMotor",
+    "DmRegister",
+    "MitCommand",
+    "Motor",
+    "MotorFeedback",
+    "OdMotor",
+    "OdRegister",
+    "ParameterReply",
+    "ParameterRequest",
+    "Tool",
+    "error_name",
+    "motor_angle_from_opening",
+    "opening_from_motor_angle",
+]
+
+Motor = OdMotor | DmMotor
+OD_JOINTS, DM_JOINTS, GRIPPER_ID = (1, 2, 3), (4, 5, 6), 7
+
+
+def error_name(motor: Motor, code: int) -> str | None:
+    """The name of a motor's error; None when the code says that all is well (DM: enabled or disabled)."""
+    if isinstance(motor, OdMotor):
+        return None if code == 0 else OD_ERRORS.get(code, f"unknown error {code}")
+    return None if code <= DM_ENABLED else DM_ERRORS.get(code, f"unknown error {code}")

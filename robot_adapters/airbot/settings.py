@@ -1,0 +1,44 @@
+"""Settings of the AIRBOT Play driver; the defaults are those of the vendor's joint-following mode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from robot_adapters.airbot.boards import Tool
+from robot_adapters.airbot.gravity import STANDARD_GRAVITY
+from robot_adapters.airbot.gripper import GRIPPER_KD, GRIPPER_KP
+from robot_adapters.safety import SafetyLimits
+
+
+@dataclass(frozen=True)
+class AirbotSettings:
+    """How the driver runs the arm.
+
+    kp, kd: MIT gains per joint [Nm/rad, Nm s/rad]. rate: control frequency [Hz]. velocity_feedforward: share
+    of the interpolated velocity that is commanded along with the position. gravity: in the base frame
+    [m/s^2]. gravity_factors: motor torque per joint torque; None reads them from the base board. tool: None
+    asks the end board. gripper_speed: of the gripper's opening [m/s]. limits: of the safety gate.
+    range_tolerance: largest ratio between a DM motor's reported and documented ranges. shutdown: seconds each
+    phase of the soft shutdown takes. final_damping: of the joints when all else is off [Nm s/rad].
+    """
+
+    kp: tuple[float, ...] = (100.0, 100.0, 100.0, 20.0, 20.0, 20.0)
+    kd: tuple[float, ...] = (3.0, 3.0, 3.0, 1.0, 1.0, 1.0)
+    gripper_kp: float = GRIPPER_KP
+    gripper_kd: float = GRIPPER_KD
+    gripper_speed: float = 0.2
+    rate: float = 250.0
+    velocity_feedforward: float = 1.0
+    gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
+    gravity_factors: tuple[float, ...] | None = None
+    tool: Tool | None = None
+    limits: SafetyLimits = field(default_factory=SafetyLimits)
+    range_tolerance: float = 1.5
+    shutdown: float = 0.4
+    final_damping: tuple[float, ...] = (10.0, 10.0, 10.0, 2.0, 2.0, 2.0)
+
+    def __post_init__(self) -> None:
+        if not 50.0 <= self.rate <= 1000.0:
+            raise ValueError(f"the control rate must lie in 50..1000 Hz, got {self.rate}")
+        if not 0.0 <= self.velocity_feedforward <= 1.0:
+            raise ValueError(f"velocity_feedforward must lie in 0..1, got {self.velocity_feedforward}")

@@ -1,0 +1,252 @@
+"""Identifying an AIRBOT Play on its bus, and bringing its motors up in the order that real arms accept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import can
+
+from robot_adapters.airbot.boards import GRAVITY_FACTOR_OFFSET, SEGMENTS
+from robot_adapters.airbot.bus import NoAnswerError, ask, drain, receive, send
+from robot_adapters.airbot.protocol import (
+    BASE_BOARD_ID,
+    DM_JOINTS,
+    END_BOARD_ID,
+    GRIPPER_ID,
+    MIT_MODE,
+    OD_JOINTS,
+    Board,
+    BoardRegister,
+    DmLifecycle,
+    DmMotor,
+    DmRegister,
+    Motor,
+    MotorFeedback,
+    OdMotor,
+    OdRegister,
+    ParameterReply,
+    Tool,
+)
+from robot_adapters.airbot.settings import AirbotSettings
+from robot_adapters.clock import Clock
+
+DOCUMENTED_RANGES = {DmRegister.POS_MAX: 12.5, DmRegister.VEL_MAX: 30.0, DmRegister.TORQUE_MAX: 10.0}
+DEFAULT_GRAVITY_FACTORS = (0.6, 0.6, 0.6, 1.6, 1.25, 1.5)
+_WHOLE_VALUE_TIMEOUT = 0.1  # s for the segments after the first
+
+
+class RangeError(ValueError):
+    """A motor that reports ranges it cannot have: with them every number would be scaled wrongly."""
+
+
+@dataclass(frozen=True)
+class MotorIdentity:
+    """A motor as it answered: its codec with the ranges it reported, its position [rad], its firmware."""
+
+    motor: Motor
+    position: float
+    firmware: str
+
+
+@dataclass(frozen=True)
+class ArmIdentity:
+    """What is on the bus. Texts are empty and numbers NaN where a board did not say."""
+
+    tool: Tool
+    name: str
+    serial: str
+    voltage: float
+    gravity_factors: tuple[float, ...]
+    motors: tuple[MotorIdentity, ...]
+
+
+def identify(bus: can.BusABC, clock: Clock, settings: AirbotSettings | None = None) -> ArmIdentity:
+    """Ask boards and motors who they are, read only: no motor is enabled, disabled or moved.
+
+    Raises NoAnswerError for a motor, or for the end board unless the settings name the tool, and RangeError
+    for a DM motor whose reported ranges are not those of this arm's motors.
+    """
+    settings = settings or AirbotSettings()
+    tool = settings.tool if settings.tool is not None else read_tool(bus, clock)
+    motors = [_identify_od(bus, clock, OdMotor(i)) for i in OD_JOINTS]
+    motors += [_identify_dm(bus, clock, i, settings) for i in DM_JOINTS]
+    if tool is Tool.G2:
+        motors.append(_identify_dm(bus, clock, GRIPPER_ID, settings))
+    return ArmIdentity(
+        tool,
+        _board_text(bus, clock, BoardRegister.NAME),
+        _board_text(bus, clock, BoardRegister.PRODUCT_SERIAL),
+        _board_number(bus, clock, BoardRegister.VOLTAGE),
+        settings.gravity_factors or read_gravity_factors(bus, clock, tool),
+        tuple(motors),
+    )
+
+
+def bring_up(
+    bus: can.BusABC, clock: Clock, identity: ArmIdentity, settings: AirbotSettings | None = None
+) -> list[float]:
+    """Make the motors ready for MIT commands; their positions [rad] when all were, the first target to
+    command.
+
+    Per DM motor: disable, wait for feedback, read the ranges, clear the error, enable, set the control mode.
+    OD motors need nothing. Raises NoAnswerError, or RangeError when the ranges are not those that `identity`
+    has.
+    """
+    settings = settings or AirbotSettings()
+    motors = [each.motor for each in identity.motors]
+    for motor in motors:
+        if not isinstance(motor, DmMotor):
+            continue
+        _act(bus, clock, motor, DmLifecycle.DISABLE)
+        seen = _read_ranges(bus, clock, motor.id, settings)
+        if seen.position_range.high != motor.position_range.high:
+            raise RangeError(f"motor {motor.id} changed its ranges; power the arm off and on")
+        _act(bus, clock, motor, DmLifecycle.CLEAR_ERROR)
+        _act(bus, clock, motor, DmLifecycle.ENABLE)
+        mode = motor.write(DmRegister.CONTROL_MODE, MIT_MODE)
+        ask(bus, clock, mode, _parameter(motor, DmRegister.CONTROL_MODE), f"control mode of motor {motor.id}")
+    positions = read_positions(bus, clock, motors)
+    drain(bus)
+    return positions
+
+
+def read_positions(bus: can.BusABC, clock: Clock, motors: list[Motor]) -> list[float]:
+    """Positions [rad] of the motors now, asked without commanding anything. Raises NoAnswerError."""
+    positions = []
+    for motor in motors:
+        what = f"position of motor {motor.id}"
+        if isinstance(motor, DmMotor):
+            positions.append(ask(bus, clock, motor.ping(), _feedback(motor), what).position)
+        else:
+            register = OdRegister.POSITION
+            reply = ask(bus, clock, motor.request(register), _parameter(motor, register), what)
+            positions.append(math.radians(float(reply.value if isinstance(reply.value, float) else math.nan)))
+    return positions
+
+
+def read_tool(bus: can.BusABC, clock: Clock) -> Tool:
+    """The mounted tool, from the end board; NoAnswerError when it is silent, ValueError for a tool nobody
+    knows.
+    """
+    board = Board(END_BOARD_ID)
+    accept = _parameter(board, BoardRegister.TOOL_TYPE)
+    reply = ask(bus, clock, board.request(BoardRegister.TOOL_TYPE), accept, "the tool type of the end board")
+    known = {int(tool): tool for tool in Tool}
+    if reply.value not in known:
+        raise ValueError(
+            f"the end board reports tool {reply.value}, known are {sorted(known)}; name it in the settings"
+        )
+    return known[int(reply.value)]
+
+
+def read_gravity_factors(bus: can.BusABC, clock: Clock, tool: Tool) -> tuple[float, ...]:
+    """Motor torque per joint torque of the six joints; typical values when the base board has none."""
+    values = read_segments(bus, clock, Board(BASE_BOARD_ID), BoardRegister.GRAVITY_FACTORS)
+    start = GRAVITY_FACTOR_OFFSET[tool]
+    factors = [reply.value for reply in values[start : start + 6]]
+    if len(factors) == 6 and all(isinstance(x, float) and 0.1 < x < 5.0 for x in factors):
+        return tuple(float(x) for x in factors if x is not None)
+    return DEFAULT_GRAVITY_FACTORS
+
+
+def read_segments(
+    bus: can.BusABC, clock: Clock, board: Board, register: BoardRegister
+) -> list[ParameterReply]:
+    """All segments of a board's register in order; empty when some are missing or the board is silent."""
+    accept = _parameter(board, register)
+    try:
+        first = ask(
+            bus, clock, board.request(register), accept, f"register {register.name} of board {board.id}"
+        )
+    except NoAnswerError:
+        return []
+    found = {first.segment: first}
+    until = clock.monotonic() + _WHOLE_VALUE_TIMEOUT
+    while len(found) < SEGMENTS[register] and (message := receive(bus, clock, until)) is not None:
+        reply = accept(message)
+        if reply is not None:
+            found[reply.segment] = reply
+    if sorted(found) != list(range(1, SEGMENTS[register] + 1)):
+        return []
+    return [found[segment] for segment in sorted(found)]
+
+
+def _board_text(bus: can.BusABC, clock: Clock, register: BoardRegister) -> str:
+    pieces = [reply.data for reply in read_segments(bus, clock, Board(BASE_BOARD_ID), register)]
+    return b"".join(pieces).split(b"\0")[0].decode("ascii", errors="replace")
+
+
+def _board_number(bus: can.BusABC, clock: Clock, register: BoardRegister) -> float:
+    replies = read_segments(bus, clock, Board(BASE_BOARD_ID), register)
+    return float(replies[0].value) if replies and isinstance(replies[0].value, float) else math.nan
+
+
+def _parameter(codec: Motor | Board, register: int) -> Callable[[can.Message], ParameterReply | None]:
+    """What accepts the answer about one register of one motor or board."""
+
+    def accept(message: can.Message) -> ParameterReply | None:
+        reply = codec.decode(message)
+        return reply if isinstance(reply, ParameterReply) and reply.register == register else None
+
+    return accept
+
+
+def _feedback(motor: Motor) -> Callable[[can.Message], MotorFeedback | None]:
+    def accept(message: can.Message) -> MotorFeedback | None:
+        reply = motor.decode(message)
+        return reply if isinstance(reply, MotorFeedback) else None
+
+    return accept
+
+
+def _identify_od(bus: can.BusABC, clock: Clock, motor: OdMotor) -> MotorIdentity:
+    for register in (OdRegister.POSITION, OdRegister.VELOCITY, OdRegister.TORQUE, OdRegister.FIRMWARE):
+        what = f"{register.name.lower()} of motor {motor.id}"
+        reply = ask(bus, clock, motor.request(register), _parameter(motor, register), what)
+    firmware = ".".join(str(byte) for byte in reply.data)
+    return MotorIdentity(motor, read_positions(bus, clock, [motor])[0], firmware)
+
+
+def _identify_dm(bus: can.BusABC, clock: Clock, motor_id: int, settings: AirbotSettings) -> MotorIdentity:
+    motor = _read_ranges(bus, clock, motor_id, settings)
+    what = f"firmware of motor {motor_id}"
+    firmware = ask(
+        bus, clock, motor.request(DmRegister.FIRMWARE), _parameter(motor, DmRegister.FIRMWARE), what
+    )
+    return MotorIdentity(motor, read_positions(bus, clock, [motor])[0], str(firmware.value))
+
+
+def _read_ranges(bus: can.BusABC, clock: Clock, motor_id: int, settings: AirbotSettings) -> DmMotor:
+    ranges = []
+    for register, documented in DOCUMENTED_RANGES.items():
+        what = f"{register.name.lower()} of motor {motor_id}"
+        asking = DmMotor(motor_id)
+        value = ask(bus, clock, asking.request(register), _parameter(asking, register), what).value
+        tolerance = settings.range_tolerance
+        number = float(value) if isinstance(value, float) else math.nan
+        if not documented / tolerance <= number <= documented * tolerance:
+            raise RangeError(
+                f"motor {motor_id} reports {register.name.lower()} = {value}, documented is {documented}; "
+                "check the motor's type and id before anything moves"
+            )
+        ranges.append(number)
+    return DmMotor(motor_id, *ranges)
+
+
+def _act(bus: can.BusABC, clock: Clock, motor: DmMotor, action: DmLifecycle) -> MotorFeedback:
+    # A lifecycle frame may find the bus busy; it is harmless to send twice.
+    what = f"{action.name.lower()} of motor {motor.id}"
+    return ask(bus, clock, motor.lifecycle(action), _feedback(motor), what)
+
+
+def release(bus: can.BusABC, motors: list[Motor], damping: tuple[float, ...]) -> None:
+    """Leave the motors without torque: OD motors braked by `damping` per motor [Nm s/rad] only, DM motors
+    disabled.
+    """
+    for motor, brake in zip(motors, damping, strict=False):
+        if isinstance(motor, DmMotor):
+            send(bus, motor.lifecycle(DmLifecycle.DISABLE))
+        else:
+            send(bus, motor.encode_mit(0.0, 0.0, 0.0, 0.0, brake))

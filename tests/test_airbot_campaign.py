@@ -1,0 +1,80 @@
+"""Faults end as specified and nothing grows; `MIMICIK_FAULTS` and `MIMICIK_SOAK_SECONDS` ask for the full
+counts.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+from robot_adapters.airbot.bus import open_bus
+from robot_adapters.airbot.campaign import Outcome, run_campaign, run_case, specified_outcomes
+from robot_adapters.airbot.faults import Fault, FaultKind
+from robot_adapters.airbot.listener import BusListener
+from robot_adapters.airbot.protocol import OdMotor
+from robot_adapters.airbot.soak import run_soak
+from robot_adapters.clock import SimulatedClock
+
+FAULTS = int(os.environ.get("MIMICIK_FAULTS", "9"))
+SOAK_SECONDS = float(os.environ.get("MIMICIK_SOAK_SECONDS", "6"))
+
+
+@pytest.mark.timeout(0)
+def test_every_fault_ends_as_specified_and_no_frame_violates_a_limit():
+    report = run_campaign(FAULTS, seed=5)
+    assert report.failures == []
+    assert report.passed
+    assert len(report.cases) == FAULTS
+    assert sum(sum(ends.values()) for ends in report.counts.values()) == FAULTS
+
+
+def test_the_same_seed_gives_the_same_case():
+    fault = Fault(FaultKind.CORRUPTED, None, 0.2, 0.06, rate=0.5)
+    assert run_case(fault, seed=3) == run_case(fault, seed=3)
+
+
+@pytest.mark.parametrize(
+    ("fault", "outcomes"),
+    [
+        (Fault(FaultKind.MOTOR_ERROR, 1), {Outcome.STOP}),
+        (Fault(FaultKind.WRONG_RANGES, 4), {Outcome.STOP}),
+        (Fault(FaultKind.DUPLICATED, None, 0.0, 1.0), {Outcome.TRACKING}),
+        (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 0.02), {Outcome.TRACKING}),
+        (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 0.4), {Outcome.HOLD}),
+        (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 1.2), {Outcome.STOP}),
+        (Fault(FaultKind.DROPPED, 2, 0.0, 0.4, rate=0.3), {Outcome.TRACKING, Outcome.HOLD}),
+    ],
+)
+def test_what_a_fault_may_lead_to_follows_from_kind_and_length(fault, outcomes):
+    assert specified_outcomes(fault) == outcomes
+
+
+@pytest.mark.timeout(0)
+def test_a_soak_grows_nothing():
+    report = run_soak(SOAK_SECONDS, samples=12)
+    assert len({sample.threads for sample in report.samples}) == 1
+    assert max(sample.unread for sample in report.samples) <= 14
+    assert report.object_growth < 2000
+    assert report.memory_growth < 16 * 2**20
+    assert report.violations == report.warnings == 0
+    assert report.statistics.targets_refused == report.statistics.send_errors == 0
+
+
+def test_the_listener_sees_violations():
+    bus = open_bus("virtual", "listener")
+    listener = BusListener(bus, SimulatedClock(), [-1.0] * 6, [1.0] * 6)
+    motor = OdMotor(2)
+    listener.judge(motor.encode_mit(0.0, 0.0, 0.0, 100.0, 3.0), 0.0)
+    listener.judge(motor.encode_mit(0.09, 0.0, 0.0, 100.0, 3.0), 0.02)
+    assert listener.violations == []
+    listener.judge(motor.encode_mit(0.12, 0.0, 0.0, 100.0, 3.0), 0.03)
+    assert "step" in listener.violations.pop()
+    listener.judge(motor.encode_mit(1.05, 0.0, 0.0, 100.0, 3.0), 5.0)
+    assert any("outside the joint limits" in sentence for sentence in listener.violations)
+    listener.violations.clear()
+    listener.judge(motor.encode_mit(1.0, 0.0, 0.0, 500.0, 3.0), 5.01)
+    assert "gains" in listener.violations.pop()
+    bus.shutdown()
