@@ -95,7 +95,7 @@ def find_report(folder: str | Path, digest: str) -> dict[str, Any] | None:
             measured = _measured_weights(report)
             # A run has many checkpoints: a report there that does not say which one it measured says nothing.
             if measured is None and folder in file.parents:
-                measured = weights_digest(load_file(folder / SAFETENSORS_SINGLE_FILE))
+                measured = _digest_of(folder)
             if measured == digest:
                 return report
     return None
@@ -160,7 +160,7 @@ def push_policy(
     if evaluation is None and folder is not None:
         evaluation = find_report(folder, digest)
     card_options = {
-        "training": _recorded_training(folder),
+        "training": _recorded_training(folder, digest),
         "license": policy.config.license,
         "tags": policy.config.tags,
         **(card_kwargs or {}),
@@ -224,8 +224,9 @@ def _checkpoint_folder(source: str | Path, token: str | None) -> Path:
     return folder
 
 
-def _recorded_training(folder: Path | None) -> TrainingFacts:
-    if folder is None or not (folder / TRAIN_CONFIG_NAME).is_file():
+def _recorded_training(folder: Path | None, digest: str) -> TrainingFacts:
+    """The training that made the checkpoint; unknown for weights that have changed since."""
+    if folder is None or not (folder / TRAIN_CONFIG_NAME).is_file() or _digest_of(folder) != digest:
         return TrainingFacts()
     values = json.loads((folder / TRAIN_CONFIG_NAME).read_text(encoding="utf-8"))
     return TrainingFacts(
@@ -233,6 +234,11 @@ def _recorded_training(folder: Path | None) -> TrainingFacts:
         batch_size=values.get("batch_size"),
         seed=values.get("seed"),
     )
+
+
+def _digest_of(folder: Path) -> str | None:
+    weights = folder / SAFETENSORS_SINGLE_FILE
+    return weights_digest(load_file(weights)) if weights.is_file() else None
 
 
 def _write_processors(policy: MimicIKPolicy, folder: Path | None, out: Path) -> None:

@@ -153,8 +153,11 @@ def _accuracy(name: str, report: Mapping[str, Any] | None) -> str:
             "No evaluation is recorded for these weights. To measure them on recorded motion, and to add the "
             "table here:\n\n"
             f"```bash\nmimicik eval --policy.path={name} --dataset.root=DATASET --out=outputs/eval\n```\n\n"
-            f'```python\nMimicIKPolicy.from_pretrained("{name}").push_to_hub(\n'
-            f'    "{name}", source="{name}", report="outputs/eval"\n)\n```\n'
+            "```python\n"
+            "from lerobot_mimicik.modeling_mimicik import MimicIKPolicy\n\n"
+            f'policy = MimicIKPolicy.from_pretrained("{name}")\n'
+            f'policy.push_to_hub("{name}", source="{name}", report="outputs/eval")\n'
+            "```\n"
         )
     from lerobot_mimicik.evaluation.report import markdown_table
 
@@ -272,12 +275,12 @@ def _limits(policy: MimicIKPolicy) -> str:
     return (
         "- It knows the motion it was trained on. Far from it, in position, orientation, speed or arm "
         "posture, errors grow; measure on your own motion before you trust it.\n"
-        f"- {step} Joint limits of the URDF are respected.\n"
+        f"- {step} No joint is sent past its limits in the URDF.\n"
         "- It does not know of obstacles, of the arm's own links or of the gripper, which passes through "
         "untouched. Keep the robot's own safety functions on.\n"
         "- It belongs to this arm, this tool frame and the control rate of its data.\n"
-        "- Where the dataset was generated or retargeted from end-effector motion, its joint labels are "
-        "synthetic, and so is the accuracy measured against them.\n"
+        "- Where the dataset was generated, or retargeted from end-effector motion, its joints are synthetic: "
+        "accuracy on it is not accuracy on a real arm, with its own lag and noise.\n"
     )
 
 

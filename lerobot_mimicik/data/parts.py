@@ -20,6 +20,7 @@ import numpy as np
 from lerobot_mimicik.data.retarget import Outcome
 
 _MANIFEST = "manifest.json"
+_ARRAYS = ("q", "target", "gripper")
 
 
 class PartStore:
@@ -70,17 +71,19 @@ class PartStore:
 
 
 def save_outcomes(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write a part. All outcomes of a part have a gripper or none has."""
+    """Write a part: the trajectories end to end, and the rest as JSON."""
     headers = [
-        {key: value for key, value in vars(outcome).items() if key not in ("q", "target", "gripper")}
-        for outcome in outcomes
+        {key: value for key, value in vars(outcome).items() if key not in _ARRAYS} for outcome in outcomes
     ]
-    arrays: dict[str, np.ndarray] = {"headers": np.array(json.dumps(headers))}
-    for number, outcome in enumerate(outcomes):
-        if len(outcome.q):
-            arrays |= {f"q{number}": outcome.q, f"target{number}": outcome.target}
-            if outcome.gripper is not None:
-                arrays[f"gripper{number}"] = outcome.gripper
+    used = [outcome for outcome in outcomes if len(outcome.q)]
+    arrays = {
+        "headers": np.array(json.dumps(headers)),
+        "frames": np.array([len(outcome.q) for outcome in outcomes]),
+        "with_gripper": np.array([outcome.gripper is not None for outcome in outcomes]),
+        "q": np.concatenate([outcome.q for outcome in used]) if used else np.empty((0, 0)),
+        "target": np.concatenate([np.empty((0, 7)), *(outcome.target for outcome in used)]),
+        "gripper": np.concatenate([np.empty(0), *(o.gripper for o in outcomes if o.gripper is not None)]),
+    }
     temporary = path.with_suffix(f".{os.getpid()}.tmp")
     with temporary.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
@@ -90,12 +93,18 @@ def save_outcomes(path: Path, outcomes: Sequence[Outcome]) -> None:
 def load_outcomes(path: Path) -> list[Outcome]:
     """Read a part that `save_outcomes` wrote."""
     with np.load(path, allow_pickle=False) as archive:
-        outcomes = [Outcome(**header) for header in json.loads(str(archive["headers"]))]
-        for number, outcome in enumerate(outcomes):
-            if f"q{number}" in archive:
-                outcome.q, outcome.target = archive[f"q{number}"], archive[f"target{number}"]
-            if f"gripper{number}" in archive:
-                outcome.gripper = archive[f"gripper{number}"]
+        arrays = {name: archive[name] for name in archive.files}
+    outcomes = [Outcome(**header) for header in json.loads(str(arrays["headers"]))]
+    frames = arrays["frames"]
+    ends = np.cumsum(frames)
+    grip_ends = np.cumsum(np.where(arrays["with_gripper"], frames, 0))
+    for outcome, count, end, grip_end, with_gripper in zip(
+        outcomes, frames, ends, grip_ends, arrays["with_gripper"], strict=True
+    ):
+        if count:
+            outcome.q, outcome.target = arrays["q"][end - count : end], arrays["target"][end - count : end]
+        if with_gripper:
+            outcome.gripper = arrays["gripper"][grip_end - count : grip_end]
     return outcomes
 
 
