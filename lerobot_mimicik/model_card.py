@@ -156,7 +156,7 @@ def _accuracy(name: str, report: Mapping[str, Any] | None) -> str:
             "```python\n"
             "from lerobot_mimicik.modeling_mimicik import MimicIKPolicy\n\n"
             f'policy = MimicIKPolicy.from_pretrained("{name}")\n'
-            f'policy.push_to_hub("{name}", source="{name}", report="outputs/eval")\n'
+            f'policy.push_to_hub("{name}", report="outputs/eval")\n'
             "```\n"
         )
     from lerobot_mimicik.evaluation.report import markdown_table

@@ -5,6 +5,7 @@ training    o, delta q -> objective loss (LeRobot's step), then FK(q + delta q_h
 inference   o -> delta q_hat (averaged weights) -> q + delta q_hat, within the training steps and limits
 """
 
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -53,6 +54,10 @@ class MimicIKPolicy(PreTrainedPolicy):
         dataset_stats: dict[str, dict[str, Tensor]] | None = None,
         dataset_meta: LeRobotDatasetMetadata | None = None,
     ):
+        if not isinstance(config, MimicIKConfig):
+            raise TypeError(
+                f"no MimicIK checkpoint: expected a policy of type 'mimicik', got {config.type!r}"
+            )
         super().__init__(config)
         config.validate_features()
         self.config: MimicIKConfig = config
@@ -80,6 +85,7 @@ class MimicIKPolicy(PreTrainedPolicy):
         self._fk_report: dict[str, float] = {}
         if dataset_meta is not None:
             self._prepare_training(dataset_meta)
+        self._source: str | None = None
         self.reset()
 
     # --- Set-up ---
@@ -343,6 +349,18 @@ class MimicIKPolicy(PreTrainedPolicy):
 
     # --- The Hub ---
 
+    @classmethod
+    def from_pretrained(cls, pretrained_name_or_path: str | Path, **options: Any) -> "MimicIKPolicy":
+        """Loads a checkpoint from a folder or a Hub repository, with LeRobot's options.
+
+        Raises:
+            FileNotFoundError: if there is no checkpoint.
+            TypeError: if it is one of another policy.
+        """
+        policy = super().from_pretrained(pretrained_name_or_path, **options)
+        policy._source = str(pretrained_name_or_path)
+        return policy
+
     def generate_model_card(
         self,
         dataset_repo_id: str,
@@ -356,8 +374,11 @@ class MimicIKPolicy(PreTrainedPolicy):
         return card_after_training(self, dataset_repo_id, license, tags, cfg, dataset_meta)
 
     def push_to_hub(self, repo_id: str, **options: Any) -> CommitInfo:
-        """Uploads the policy, its processors, its card and its evaluation: see :func:`.hub.push_policy`."""
-        return push_policy(self, repo_id, **options)
+        """Uploads the policy, its processors, its card and its evaluation: see :func:`.hub.push_policy`.
+
+        What lies beside the weights is taken from where the policy was loaded, unless ``source`` says otherwise.
+        """
+        return push_policy(self, repo_id, **({"source": self._source} | options))
 
 
 def _mean(values: Tensor, valid: Tensor) -> Tensor:

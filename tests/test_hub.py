@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from hub_server import Hub, serve
+from hub_contents import Hub
+from hub_server import serve
 from huggingface_hub import HfApi, ModelCard, constants
 from huggingface_hub.errors import RepositoryNotFoundError
 from lerobot.scripts import lerobot_train
@@ -136,7 +137,7 @@ def test_new_process_without_dataset_gives_the_same_commands(hub, checkpoint, tm
 def test_push_from_a_folder_takes_processors_settings_and_evaluation_along(hub, checkpoint, report, tmp_path):
     folder = shutil.copytree(checkpoint, tmp_path / "pretrained_model")
     shutil.copytree(report, folder / "eval")
-    MimicIKPolicy.from_pretrained(folder).push_to_hub(MEASURED, source=folder, private=True)
+    MimicIKPolicy.from_pretrained(folder).push_to_hub(MEASURED, private=True)
     found, files = card(hub, MEASURED), hub.repositories[MEASURED].files
     assert set(files) == {*hub.repositories[TRAINED].files, "report.json"}
     rows = json.loads(files["report.json"].content)["rows"]
@@ -151,7 +152,7 @@ def test_push_from_a_folder_takes_processors_settings_and_evaluation_along(hub, 
     policy = MimicIKPolicy.from_pretrained(MEASURED)
     with torch.no_grad():
         next(policy.network.parameters()).add_(1)
-    policy.push_to_hub(MEASURED, source=MEASURED)
+    policy.push_to_hub(MEASURED)
     assert "No evaluation is recorded" in card(hub, MEASURED).text
     assert card(hub, MEASURED).data.datasets is None
     assert set(hub.repositories[MEASURED].files) == set(hub.repositories[TRAINED].files)
@@ -159,7 +160,9 @@ def test_push_from_a_folder_takes_processors_settings_and_evaluation_along(hub, 
 
 def test_push_without_a_folder_makes_the_processors(hub, checkpoint, report):
     policy = MimicIKPolicy.from_pretrained(checkpoint)
-    policy.push_to_hub("user/alone", report=report, card_kwargs={"license": "mit", "tags": ["airbot"]})
+    policy.push_to_hub(
+        "user/alone", source=None, report=report, card_kwargs={"license": "mit", "tags": ["airbot"]}
+    )
     files = hub.repositories["user/alone"].files
     for name in ("policy_preprocessor.json", "policy_postprocessor.json"):
         made, trained = json.loads(files[name].content), json.loads((checkpoint / name).read_bytes())
@@ -211,6 +214,7 @@ def test_unreadable_report_is_named(tmp_path, content, message):
         (None, FileNotFoundError, "user/broken"),
         ({"README.md": b"nothing here"}, FileNotFoundError, "config.json not found .* user/broken"),
         ({"config.json": b'{"architectures": ["Bert"]}'}, ValueError, "Missing 'type' .* user/broken"),
+        ({"config.json": b'{"type": "act"}'}, TypeError, "expected a policy of type 'mimicik', got 'act'"),
     ],
 )
 def test_what_is_no_checkpoint_is_named(hub, tmp_path, files, error, message):

@@ -4,7 +4,7 @@ import ast
 import re
 
 import pytest
-from hub_server import check_metadata
+from hub_contents import check_metadata
 
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.evaluation.report import ROW_KEYS

@@ -83,6 +83,7 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
     from lerobot_mimicik.evaluation.report import write_report
     from lerobot_mimicik.evaluation.rollouts import known_modes
     from lerobot_mimicik.evaluation.trajectories import Layout, distinct_names, load_trajectories
+    from lerobot_mimicik.hub import weights_digest
     from lerobot_mimicik.kinematics.chain import SerialArm
     from lerobot_mimicik.solvers import known_solvers, make_solver
     from lerobot_mimicik.solvers.mimicik import load_policy
@@ -115,6 +116,8 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
         name: make_solver(name, arm, **({"policy": policy} if name == "mimicik" else {})) for name in names
     }
     settings = asdict(config) | {"device": str(policy.config.device) if policy is not None else "cpu"}
+    if policy is not None:
+        settings["weights"] = weights_digest(policy.state_dict())
     evaluations: list[Evaluation] = []
     for evaluation in evaluate(
         arm, solvers, recordings, modes, config.latency_queries, config.seed, progress=progress
