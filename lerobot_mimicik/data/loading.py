@@ -3,8 +3,8 @@
 LeRobot reads a training sample frame by frame and column by column; on joint data that costs far more
 than the training step. torch's loader asks a dataset for a whole batch at once where the dataset offers
 ``__getitems__``, so the datasets of a MimicIK run are given one that answers from columns in memory:
-the same samples, already collated, and no camera is decoded. Only these objects change; LeRobot and the
-datasets of other policies stay as they are.
+the same numbers, already collated; no camera is decoded and no task sentence repeated. Only these objects
+change; LeRobot and the datasets of other policies stay as they are.
 """
 
 import gc
@@ -14,6 +14,8 @@ import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from torch import Tensor
 from torch.utils.data._utils.collate import default_collate_fn_map
+
+from lerobot_mimicik.data.sampling import vectorise_samplers
 
 
 class FrameTable:
@@ -81,6 +83,7 @@ class BatchedLeRobotDataset(LeRobotDataset):
     """A LeRobotDataset that reads batches at once. Existing objects become one through :func:`read_batched`."""
 
     _frame_table: FrameTable | None = None
+    _asked = False
 
     @property
     def frame_table(self) -> FrameTable:
@@ -91,13 +94,16 @@ class BatchedLeRobotDataset(LeRobotDataset):
 
     def __getstate__(self) -> dict[str, Any]:
         # A loader's worker reads the (memory-mapped) columns itself rather than receiving a copy.
-        return {**self.__dict__, "_frame_table": None}
+        return {**self.__dict__, "_frame_table": None, "_asked": False}
 
     def __getitems__(self, indices: list[int]) -> list[CollatedBatch]:
-        """The batch that collating ``[self[i] for i in indices]`` gives, without camera frames.
+        """The numbers that collating ``[self[i] for i in indices]`` gives: no camera frames, no tasks.
 
         A list of one, as torch's loader hands a list to its collate function.
         """
+        if not self._asked:  # only now is there a sampler, made after the policy
+            vectorise_samplers()
+            self._asked = True
         table = self.frame_table
         rows = torch.tensor(indices)
         offsets = self._ensure_reader().delta_indices or {}
@@ -107,8 +113,6 @@ class BatchedLeRobotDataset(LeRobotDataset):
                 batch[name], batch[f"{name}_is_pad"] = table.window(name, rows, offsets[name])
             else:
                 batch[name] = values[rows]
-        tasks = self.meta.tasks.index.tolist()
-        batch["task"] = [tasks[i] for i in batch["task_index"].tolist()]
         return [CollatedBatch(batch)]
 
 
