@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from lerobot_mimicik.data.array_chain import ArrayChain
 from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, describe_arm
+from lerobot_mimicik.kinematics.array_chain import ArrayChain
 from lerobot_mimicik.kinematics.chain import SerialArm
 
 _SLIDER = """<robot name="slider">

@@ -14,8 +14,8 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 
-from lerobot_mimicik.data.array_chain import Pose, array_chain, compose, rotation_from_rpy
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.array_chain import Pose, array_chain, compose, rotation_from_rpy
 from lerobot_mimicik.kinematics.urdf import Joint, read_urdf
 
 

@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.array_chain import ArrayChain, array_chain
 from lerobot_mimicik.data.trajectory_refinement import (
     PoseTargets,
     TrajectoryOptions,
@@ -32,6 +31,7 @@ from lerobot_mimicik.data.trajectory_refinement import (
     residual_weights,
 )
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.array_chain import ArrayChain, array_chain
 
 if TYPE_CHECKING:
     from lerobot_mimicik.kinematics.chain import SerialArm

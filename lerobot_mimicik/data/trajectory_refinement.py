@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.array_chain import ArrayChain
+from lerobot_mimicik.kinematics.array_chain import ArrayChain
 
 
 @dataclass(frozen=True)
