@@ -1,30 +1,41 @@
 """The `mimicik` console script: finds the subcommand's module and hands it the rest of the command line.
 
-A subcommand is a module of this package with ``HELP``, one line on what it does, and ``main(argv)``. Its
-name is the module's with dashes. Modules are imported only when their command runs; the lines of
-``mimicik --help`` are read from their source text.
+A subcommand is a module with ``HELP``, one line on what it does, and ``main(argv)``; its name is the module's
+with dashes. Modules lie in the packages of the entry-point group ``mimicik.commands`` (this one, and that of
+the robot adapters, which this side never imports by name). They are imported only when their command runs; the
+lines of ``mimicik --help`` are read from their source text.
 """
 
 from __future__ import annotations
 
 import ast
 import importlib
+import importlib.util
 import os
 import sys
 from collections.abc import Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 
-_FOLDER = Path(__file__).parent
+_GROUP = "mimicik.commands"
 _TRACEBACK = "MIMICIK_TRACEBACK"
 
 
 def subcommands() -> dict[str, str]:
     """Each subcommand and what it does, in alphabetical order, without importing any."""
+    return {name: text for name, (_, text) in sorted(_found().items())}
+
+
+def _found() -> dict[str, tuple[str, str]]:
+    """Each subcommand's module and help line."""
     found = {}
-    for path in sorted(_FOLDER.glob("*.py")):
-        help_line = _help_of(path)
-        if help_line is not None:
-            found[path.stem.replace("_", "-")] = help_line
+    for package in dict.fromkeys(entry.value for entry in entry_points(group=_GROUP)):
+        spec = importlib.util.find_spec(package)
+        for folder in (spec.submodule_search_locations or []) if spec else []:
+            for path in Path(folder).glob("*.py"):
+                text = _help_of(path)
+                if text is not None:
+                    found[path.stem.replace("_", "-")] = (f"{package}.{path.stem}", text)
     return found
 
 
@@ -44,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if command not in known:
         print(f"mimicik: unknown command {command!r}; known are {', '.join(known)}.", file=sys.stderr)
         return 2
-    module = importlib.import_module(f"{__package__}.{command.replace('-', '_')}")
+    module = importlib.import_module(_found()[command][0])
     try:
         return int(module.main(rest) or 0)
     except (ValueError, OSError, RuntimeError) as error:

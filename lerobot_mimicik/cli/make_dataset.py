@@ -15,6 +15,7 @@ from lerobot_mimicik.data.cleaning import CleaningOptions
 from lerobot_mimicik.data.placement import PlacementOptions
 from lerobot_mimicik.data.recordings import SourceColumns
 from lerobot_mimicik.data.retarget import RetargetOptions
+from lerobot_mimicik.data.writer import SPACES
 
 if TYPE_CHECKING:
     from lerobot_mimicik.data.retarget_report import RetargetSummary
@@ -121,6 +122,8 @@ class MakeDatasetConfig:
     robot: RobotOptions = field(default_factory=RobotOptions)
     # source=synthetic: number of episodes, train and test together. source=ee: first recordings only; 0: all.
     episodes: int = 0
+    # Space of state and action: joints (to train MimicIK), or ee: poses (to train a policy that it serves).
+    space: str = "joints"
     # Frames per second.
     fps: int = 20
     # Time constant with which measured joints follow the command [s]; null: 0.04 for synthetic, 0 for ee.
@@ -169,6 +172,8 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
 
     if config.source not in SOURCES:
         raise ValueError(f"--source must be one of {', '.join(SOURCES)}, got {config.source!r}")
+    if config.space not in SPACES:
+        raise ValueError(f"--space must be one of {', '.join(SPACES)}, got {config.space!r}")
     if not config.output:
         raise ValueError("--output is missing: the folder of the dataset to write")
     robot = config.robot
@@ -201,6 +206,7 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
             ),
             progress=progress,
             overwrite=config.overwrite,
+            space=config.space,
         )
     from lerobot_mimicik.data.retarget_dataset import JobOptions, retarget_dataset
 
@@ -216,6 +222,7 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
         robot_type=None if "/" in robot.name else robot.name,
         progress=progress,
         limit=config.episodes,
+        space=config.space,
     )
     return retarget_dataset(
         config.input,

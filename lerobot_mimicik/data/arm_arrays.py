@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.array_chain import array_chain
 
-from .array_chain import array_chain
 from .collision import ArmCollision
 
 Array = NDArray[np.float64]

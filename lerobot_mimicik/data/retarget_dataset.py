@@ -50,6 +50,7 @@ class JobOptions:
         robot_type: LeRobot's free-form robot name.
         progress: show a progress bar.
         limit: use only the first so many recordings; 0: all.
+        space: of state and action, one of `writer.SPACES`.
     """
 
     workers: int = 2
@@ -61,6 +62,7 @@ class JobOptions:
     robot_type: str | None = None
     progress: bool = True
     limit: int = 0
+    space: str = "joints"
 
     def __post_init__(self) -> None:
         if self.workers < 0:
@@ -106,7 +108,7 @@ def retarget_dataset(
         options=options,
         columns=columns,
         batch=_BATCH,
-        output={"test_share": job.test_share, "lag_s": job.lag_s, "task": job.task},
+        output={"test_share": job.test_share, "lag_s": job.lag_s, "task": job.task, "space": job.space},
     )
     settings = hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
     store_folder = output.with_name(output.name + ".parts")
@@ -143,6 +145,7 @@ def retarget_dataset(
             options.cleaning.fps,
             job.robot_type,
             overwrite=job.overwrite or resuming,
+            space=job.space,
         )["frames"]
     report = retarget_report(source, outcomes, description, options)
     seconds = time.monotonic() - started

@@ -66,6 +66,7 @@ def make_synthetic(
     config: SyntheticConfig | None = None,
     progress: bool = True,
     overwrite: bool = False,
+    space: str = "joints",
 ) -> SyntheticSummary:
     """Generates teleoperation of an arm and writes it as `output`/train, `output`/test and `output`/ood.
 
@@ -82,6 +83,7 @@ def make_synthetic(
         config: how the motion is recorded.
         progress: whether to show a bar.
         overwrite: replace datasets that are already there.
+        space: of state and action, one of `writer.SPACES`.
 
     Raises:
         ValueError: counts or shares out of range, or an arm without a home configuration.
@@ -127,7 +129,7 @@ def make_synthetic(
     for split, root in roots.items():
         found = [episode for name in members[split] for episode in recorded[name]]
         written[split] = write_dataset(
-            root, f"local/{split}", found, description, fps=config.fps, overwrite=overwrite
+            root, f"local/{split}", found, description, fps=config.fps, overwrite=overwrite, space=space
         )
     return SyntheticSummary(
         roots=roots,

@@ -11,6 +11,10 @@ Frame t of an episode::
     observation.ee_pose                   T_base_tool(q_t)      x y z qx qy qz qw, w >= 0
     observation.ee_target                 pose commanded at t   x y z qx qy qz qw, w >= 0
     action (joint command given at t)     with no lag: observation.state of frame t + 1
+
+A dataset in end-effector space, for policies that MimicIK then serves, has the poses (and the gripper) as state
+and action instead, and the state once more as observation.environment_state, which LeRobot's low-dimensional
+policies ask for.
 """
 
 from __future__ import annotations
@@ -30,6 +34,7 @@ if TYPE_CHECKING:
 POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 GRIPPER_NAME = "gripper.pos"
 ARM_FILE = "meta/arm.json"
+SPACES = ("joints", "ee")
 _QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)  # those LeRobot stores
 
 
@@ -59,13 +64,21 @@ class Episode:
         return len(self.state)
 
 
-def dataset_features(joint_names: Iterable[str], gripper: bool) -> dict[str, dict[str, Any]]:
-    """LeRobot features of a joint-space dataset (without those LeRobot adds itself)."""
+def dataset_features(
+    joint_names: Iterable[str], gripper: bool, space: str = "joints"
+) -> dict[str, dict[str, Any]]:
+    """LeRobot features of a dataset in one of `SPACES` (without those LeRobot adds itself)."""
+    if space not in SPACES:
+        raise ValueError(f"space={space!r}: expected one of {', '.join(SPACES)}")
     joints = [f"{name}.pos" for name in joint_names] + ([GRIPPER_NAME] if gripper else [])
 
     def vector(names: list[str]) -> dict[str, Any]:
         return {"dtype": "float32", "shape": (len(names),), "names": names}
 
+    if space == "ee":
+        poses = [f"ee.{name}.pos" for name in POSE_NAMES] + ([f"ee.{GRIPPER_NAME}"] if gripper else [])
+        keys = ("observation.state", "observation.environment_state", "action")
+        return {key: vector(list(poses)) for key in keys}
     return {
         "observation.state": vector(joints),
         "observation.ee_pose": vector(list(POSE_NAMES)),
@@ -82,6 +95,7 @@ def write_dataset(
     fps: int = 20,
     robot_type: str | None = None,
     overwrite: bool = False,
+    space: str = "joints",
 ) -> dict[str, int]:
     """Write `episodes` as a LeRobot v3 dataset that ``LeRobotDataset(repo_id, root=root)`` opens.
 
@@ -94,6 +108,7 @@ def write_dataset(
         fps: frames per second.
         robot_type: LeRobot's free-form robot name, stored in meta/info.json.
         overwrite: replace a dataset that is already at `root`.
+        space: one of `SPACES`, that of state and action.
 
     Returns:
         {"episodes": ..., "frames": ...}.
@@ -109,7 +124,7 @@ def write_dataset(
     shutil.rmtree(building, ignore_errors=True)
     building.mkdir(parents=True)
     try:
-        totals = _write_files(building, repo_id, iter(episodes), description, fps, robot_type)
+        totals = _write_files(building, repo_id, iter(episodes), description, fps, robot_type, space)
         if root.exists():
             shutil.rmtree(root)
         os.replace(building, root)
@@ -179,6 +194,7 @@ def _write_files(
     description: ArmDescription,
     fps: int,
     robot_type: str | None,
+    space: str,
 ) -> dict[str, int]:
     # LeRobot's dataset package takes seconds to import; worker processes use Episode without paying for it.
     import pandas as pd
@@ -195,7 +211,7 @@ def _write_files(
     if first is None:
         raise ValueError(f"dataset {repo_id}: there is no episode to write")
     features = {
-        **dataset_features(description.joint_names, first.gripper is not None),
+        **dataset_features(description.joint_names, first.gripper is not None, space),
         **{key: dict(value) for key, value in DEFAULT_FEATURES.items()},
     }
     info = create_empty_dataset_info(CODEBASE_VERSION, fps, features, use_videos=False, robot_type=robot_type)
@@ -212,6 +228,8 @@ def _write_files(
         for index, episode in enumerate(_chain(first, episodes)):
             where = f"dataset {repo_id}, episode {index} (session {episode.session!r})"
             columns = _columns(episode, len(description.joint_names), first.gripper is not None, where)
+            if space == "ee":
+                columns = _in_ee_space(columns, len(description.joint_names))
             length = len(episode)
             task_index = tasks.setdefault(episode.task, len(tasks))
             columns |= {
@@ -319,6 +337,17 @@ def _columns(episode: Episode, dof: int, gripper: bool, where: str) -> dict[str,
         "action": joints["action"],
     }
     return {key: np.ascontiguousarray(values, dtype=np.float32) for key, values in ordered.items()}
+
+
+def _in_ee_space(columns: dict[str, np.ndarray], dof: int) -> dict[str, np.ndarray]:
+    """The columns of a dataset in end-effector space from those of one in joint space."""
+
+    def with_gripper(pose: str, joints: str) -> np.ndarray:
+        return np.concatenate([columns[pose], columns[joints][:, dof:]], axis=1)
+
+    state = with_gripper("observation.ee_pose", "observation.state")
+    action = with_gripper("observation.ee_target", "action")
+    return {"observation.state": state, "observation.environment_state": state, "action": action}
 
 
 def _table(pa: Any, schema: Any, columns: dict[str, np.ndarray]) -> Any:

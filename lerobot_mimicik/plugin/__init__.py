@@ -5,4 +5,5 @@ folder is installed as ``lerobot_policy_mimicik``.
 """
 
 import lerobot_mimicik.configuration_mimicik  # noqa: F401
-import robot_adapters  # noqa: F401
+import robot_adapters.robots.config_airbot_play
+import robot_adapters.robots.config_recorded_motion  # noqa: F401

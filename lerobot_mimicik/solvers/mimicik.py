@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from lerobot_mimicik.inference import TracedPolicy
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
 
@@ -59,6 +60,7 @@ class MimicIKSolver(IKSolver):
         self.steps = int(self.policy.config.n_obs_steps)
         self.chunk = chunk
         self._device = next(self.policy.parameters()).device
+        self._traced: TracedPolicy | None = None
         self._q: Array | None = None
         self._target: Array | None = None
 
@@ -92,6 +94,10 @@ class MimicIKSolver(IKSolver):
 
     def _ask(self, q: Array, target: Array) -> Array:
         """(B, T_o, dof) and (B, T_o, 7) -> (B, dof)."""
+        if len(q) == 1:
+            if self._traced is None:
+                self._traced = TracedPolicy(self.policy)
+            return self._traced(q[0], target[0])[None]
         to_tensor = {"dtype": torch.float32, "device": self._device}
         with torch.inference_mode():
             command = self.policy.predict_joints(

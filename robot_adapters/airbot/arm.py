@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import logging
+import sys
 import threading
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +34,7 @@ from robot_adapters.signals import SignalGuard
 
 _log = logging.getLogger(__name__)
 _FIRST_FEEDBACK = 0.25  # s
+_SWITCH_INTERVAL = 5e-4  # s
 
 
 class NotConnectedError(ConnectionError):
@@ -261,6 +263,8 @@ class AirbotArm:
         if isinstance(self.clock, SimulatedClock):
             self._schedule = self.clock.every(1.0 / self.settings.rate, loop.tick)
         else:
+            # By default a thread may keep the interpreter for 5 ms, longer than a period of this loop.
+            sys.setswitchinterval(min(sys.getswitchinterval(), _SWITCH_INTERVAL))
             self._thread = threading.Thread(
                 target=self._run, args=(loop,), name="airbot-control", daemon=True
             )

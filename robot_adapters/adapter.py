@@ -1,0 +1,298 @@
+"""MimicIKAdapter: end-effector targets in, bounded joint commands out, with a word on what became of each.
+
+target T_base_tool ──> at most one step's worth of the way ──> solver ──> at most one joint step ──> q
+                                                                  └── FK(q) against the target ──> status
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.array_chain import array_chain
+from lerobot_mimicik.solvers.base import IKSolver
+from robot_adapters.poses import PolicyFrames, decode_pose, pose_distance, towards
+from robot_adapters.poses import PoseFormat as PoseFormat
+from robot_adapters.reachability import closest_configuration
+
+if TYPE_CHECKING:
+    from robot_adapters.end_effector_policy import EndEffectorPolicy
+
+Array = NDArray[np.float64]
+
+
+class IKStatus(enum.StrEnum):
+    """What became of a target.
+
+    REACHED: the command reaches it within the tolerances. RELAXED: it is in reach, and the command comes
+    near it. LIMITED: it is in reach, but further away than one step; the command is a step towards it.
+    UNREACHABLE: no configuration around the present one reaches it; the command goes towards the closest.
+    FAILED: the target or the solver's answer was not finite, or the solver gave up; the command holds.
+    """
+
+    REACHED = "reached"
+    RELAXED = "relaxed"
+    LIMITED = "limited"
+    UNREACHABLE = "unreachable"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class IKResult:
+    """The answer to one target.
+
+    Attributes:
+        q: joint command [rad], (dof,), never further than the settings' `max_step` from where it started.
+        status: what became of the target.
+        position_error, rotation_error: between FK(q) and the target [m, rad]; NaN without a finite target.
+        step: largest joint motion of the command [rad].
+        source: who found the command: the solver, the descent to the closest configuration, or hold.
+        message: in words, empty when reached.
+    """
+
+    q: Array
+    status: IKStatus
+    position_error: float
+    rotation_error: float
+    step: float
+    source: str
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class AdapterSettings:
+    """How the adapter asks and judges.
+
+    Attributes:
+        reference: joints that a step starts from: `commanded`, the command in force, while the arm follows
+            it within `resync` [rad]; `measured`, always what was measured, lag and noise included.
+        max_step: largest joint motion of a command [rad].
+        max_translation, max_rotation: largest part of the way that the solver is asked for at once [m, rad];
+            None: for a MimicIK policy what it saw in training, else 0.05 m and 0.3 rad.
+        position_tolerance, rotation_tolerance: errors of a target that counts as reached [m, rad].
+        relaxed_position, relaxed_rotation: errors from which, for a target in reach, a step of damped least
+            squares takes the place of the solver's answer [m, rad].
+        resync: difference between measured and commanded joints from which the measured ones are used [rad].
+    """
+
+    reference: str = "commanded"
+    max_step: float = 0.095
+    max_translation: float | None = None
+    max_rotation: float | None = None
+    position_tolerance: float = 0.002
+    rotation_tolerance: float = 0.02
+    relaxed_position: float = 0.01
+    relaxed_rotation: float = 0.1
+    resync: float = 0.25
+
+    def __post_init__(self) -> None:
+        if self.reference not in ("commanded", "measured"):
+            raise ValueError(f"reference={self.reference!r}: expected 'commanded' or 'measured'")
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if each.name != "reference" and value is not None and not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{each.name} must be finite and positive, got {value}")
+
+
+class MimicIKAdapter:
+    """One arm's inverse kinematics as a controller needs it: stateful, bounded, and honest about the rest.
+
+    Works with any `IKSolver`; `from_pretrained` makes it of a MimicIK checkpoint.
+    """
+
+    def __init__(
+        self, solver: IKSolver, description: ArmDescription, settings: AdapterSettings | None = None
+    ) -> None:
+        """`solver` answers for the arm of `description`; ValueError for settings that fit neither."""
+        self.solver, self.description = solver, description
+        self.settings = _with_training_ranges(settings or AdapterSettings(), solver)
+        self.chain = array_chain(description)
+        joints = description.joints()
+        self.lower, self.upper = (np.array([getattr(j, side) for j in joints]) for side in ("lower", "upper"))
+        self._command: Array | None = None
+
+    @classmethod
+    def from_pretrained(cls, path: str | Path, device: str = "cpu", **settings: Any) -> MimicIKAdapter:
+        """Load a MimicIK checkpoint: a folder, a training run's output folder, or a Hub repository.
+
+        Args:
+            path: where it is.
+            device: where the network runs.
+            settings: of :class:`AdapterSettings`.
+
+        Raises:
+            FileNotFoundError, TypeError: if there is no checkpoint, or it is another policy's.
+        """
+        from lerobot_mimicik.kinematics.chain import SerialArm
+        from lerobot_mimicik.solvers.mimicik import MimicIKSolver, load_policy
+
+        policy = load_policy(str(path), device)
+        description = policy.config.arm_description()
+        solver = MimicIKSolver(SerialArm(description), policy)
+        return cls(solver, description, AdapterSettings(**settings))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of every q here."""
+        return tuple(self.description.joint_names)
+
+    def forward(self, q: ArrayLike) -> Array:
+        """`T_base_tool` (7,) of joints (dof,) [rad]."""
+        rotation, position = self.chain.forward(np.asarray(q, dtype=float)[None])
+        return np.concatenate([position[0], Rotation.from_matrix(rotation[0]).as_quat(canonical=True)])
+
+    def reset(self) -> None:
+        """Forget the past: call it when a motion starts anew."""
+        self._command = None
+
+    def commanded(self, q: ArrayLike) -> None:
+        """Say what was really sent [rad] (dof,), where a safety layer changed or refused the last command."""
+        if self._command is not None:
+            self._command = np.asarray(q, dtype=float).copy()
+
+    def solve(self, q: ArrayLike, ee_target: ArrayLike) -> IKResult:
+        """The next joint command on the way to a target.
+
+        Args:
+            q: measured joints [rad], (dof,).
+            ee_target: `T_base_tool` to reach, (7,), quaternion of any length but zero.
+
+        Raises:
+            ValueError: wrong shapes, or measured joints that are not finite. Everything else is in the
+                result.
+        """
+        measured, target = np.asarray(q, dtype=float), np.asarray(ee_target, dtype=float)
+        if measured.shape != self.lower.shape:
+            names = ", ".join(self.joint_names)
+            raise ValueError(f"expected {len(self.lower)} joints ({names}), got shape {measured.shape}")
+        if target.shape != (7,):
+            raise ValueError(f"expected a target pose x y z qx qy qz qw, got shape {target.shape}")
+        if not np.isfinite(measured).all():
+            raise ValueError(f"the measured joints are not finite: {measured.tolist()}")
+        start = self._start(measured)
+        try:
+            if not np.isfinite(target).all():
+                raise ValueError(f"the target is not finite: {target.tolist()}")
+            target = decode_pose(target, PoseFormat.QUATERNION)
+        except ValueError as error:
+            return self._held(start, str(error))
+        result = self._solve(start, target)
+        self._command = result.q
+        return result
+
+    def wrap(self, policy: Any, frames: PolicyFrames | None = None, **options: Any) -> EndEffectorPolicy:
+        """A joint-space policy made of one that yields end-effector poses.
+
+        Args:
+            policy: a LeRobot policy, a function of the observation, or a client with `infer`; it may answer
+                with one pose or a chunk of them.
+            frames: format, reference, tool and base frame of its poses.
+            options: of :class:`EndEffectorPolicy`.
+        """
+        from robot_adapters.end_effector_policy import EndEffectorPolicy
+
+        return EndEffectorPolicy(self, policy, frames or PolicyFrames(), **options)
+
+    def _start(self, measured: Array) -> Array:
+        """Joints that this step starts from; a solver that remembers is told when they jump."""
+        settings, known = self.settings, self._command is not None
+        if self._command is not None and np.abs(self._command - measured).max() > settings.resync:
+            self._command, known = None, False
+        if not known:
+            self.solver.reset(measured[None] if self.solver.batched else measured)
+        if self._command is None or settings.reference == "measured":
+            return measured
+        return self._command
+
+    def _solve(self, start: Array, target: Array) -> IKResult:
+        settings = self.settings
+        assert settings.max_translation is not None
+        assert settings.max_rotation is not None
+        here = self.forward(start)
+        waypoint, share = towards(here, target, settings.max_translation, settings.max_rotation)
+        try:
+            if self.solver.batched:
+                answer = self.solver.solve(start[None], waypoint[None])[0]
+            else:
+                answer = self.solver.solve(start, waypoint)
+        except (ArithmeticError, RuntimeError, ValueError, TimeoutError) as error:
+            return self._held(start, f"{self.solver.name}: {error}", target)
+        if not np.isfinite(answer).all():
+            return self._held(start, f"{self.solver.name} answered {answer.tolist()}", target)
+        q, cut = self._within_a_step(start, answer)
+        errors = pose_distance(self.forward(q), target)
+        if self._is_reached(errors):
+            return IKResult(q, IKStatus.REACHED, *errors, _step(start, q), self.solver.name)
+        closest = closest_configuration(self.chain, self.lower, self.upper, q, target)
+        best = pose_distance(self.forward(closest), target)
+        other, _ = self._within_a_step(start, closest)
+        if not self._is_reached(best):
+            # What a network says about poses outside its training is no guide to the edge of the workspace.
+            message = f"the closest that the arm comes to is {best[0] * 1e3:.1f} mm, {best[1]:.3f} rad off"
+            return self._judged(start, other, IKStatus.UNREACHABLE, target, "descent", message)
+        far = share < 1.0 or cut
+        if far:
+            status, message = IKStatus.LIMITED, "a step towards a target that is several steps away"
+            stalled = self._cost(errors) > self._cost(pose_distance(here, target)) * 0.999
+        else:
+            status, message = IKStatus.RELAXED, "in reach, and missed by the solver"
+            stalled = errors[0] > settings.relaxed_position or errors[1] > settings.relaxed_rotation
+        if stalled:
+            return self._judged(start, other, status, target, "descent", message)
+        return self._judged(start, q, status, target, self.solver.name, message)
+
+    def _judged(
+        self, start: Array, q: Array, status: IKStatus, target: Array, source: str, message: str
+    ) -> IKResult:
+        errors = pose_distance(self.forward(q), target)
+        return IKResult(q, status, *errors, _step(start, q), source, message)
+
+    def _held(self, start: Array, message: str, target: Array | None = None) -> IKResult:
+        q = np.clip(start, np.minimum(self.lower, start), np.maximum(self.upper, start))
+        errors = (np.nan, np.nan) if target is None else pose_distance(self.forward(q), target)
+        self._command = q
+        return IKResult(q, IKStatus.FAILED, *errors, 0.0, "hold", message)
+
+    def _within_a_step(self, start: Array, q: Array) -> tuple[Array, bool]:
+        """The command on the straight way to `q` that moves no joint further than allowed, and whether that
+        cut it. Joints measured outside their limits are never pushed further out.
+        """
+        q = np.clip(q, np.minimum(self.lower, start), np.maximum(self.upper, start))
+        step = _step(start, q)
+        if step <= self.settings.max_step:
+            return q, False
+        return start + (q - start) * (self.settings.max_step / step), True
+
+    def _is_reached(self, errors: tuple[float, float]) -> bool:
+        return errors[0] <= self.settings.position_tolerance and errors[1] <= self.settings.rotation_tolerance
+
+    def _cost(self, errors: tuple[float, float]) -> float:
+        """Distance in tolerances, to compare errors by."""
+        return errors[0] / self.settings.position_tolerance + errors[1] / self.settings.rotation_tolerance
+
+
+def _step(start: Array, q: Array) -> float:
+    return float(np.abs(q - start).max())
+
+
+def _with_training_ranges(settings: AdapterSettings, solver: IKSolver) -> AdapterSettings:
+    """Fills in how far a target the solver is asked for at once, from what a MimicIK policy was trained on."""
+    translation, rotation = 0.05, 0.3
+    relative = getattr(getattr(getattr(solver, "policy", None), "conditioning", None), "relative", None)
+    if relative is not None:
+        reach = np.minimum(-relative.lower.double().cpu().numpy(), relative.upper.double().cpu().numpy())
+        if (reach > 0).all():
+            # Components lie within the training range where the norm lies within the smallest of them.
+            translation, rotation = float(reach[:3].min()), float(reach[3:].min())
+    return replace(
+        settings,
+        max_translation=settings.max_translation or translation,
+        max_rotation=settings.max_rotation or rotation,
+    )

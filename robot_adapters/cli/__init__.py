@@ -1,0 +1,1 @@
+"""Subcommands of `mimicik` that need an arm: one module a command."""

@@ -1,0 +1,170 @@
+"""A joint-space policy made of an end-effector policy and the adapter: what `MimicIKAdapter.wrap` returns.
+
+observation ──> end-effector policy ──> poses T_base_target, one or a chunk of them (+ gripper)
+                                             │ one a step
+measured joints ───────────────────────> MimicIKAdapter ──> joint command (+ gripper)
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_adapters.poses import PolicyFrames
+
+if TYPE_CHECKING:
+    from robot_adapters.adapter import IKResult, MimicIKAdapter
+
+Array = NDArray[np.float64]
+STATE, POSE = "observation.state", "observation.ee_pose"
+
+
+class EndEffectorPolicy:
+    """Asks an end-effector policy when its last chunk is used up, and solves for one pose a step.
+
+    Attributes:
+        result: what became of the last target; None before the first.
+    """
+
+    def __init__(
+        self,
+        adapter: MimicIKAdapter,
+        policy: Any,
+        frames: PolicyFrames,
+        *,
+        actions_per_chunk: int | None = None,
+        sees_joints: bool = False,
+        preprocessor: Callable[[Any], Any] | None = None,
+        postprocessor: Callable[[Any], Any] | None = None,
+    ) -> None:
+        """
+        Args:
+            adapter: the arm's inverse kinematics.
+            policy: one of
+                - a LeRobot policy (`select_action`): the observation becomes a batch of one;
+                - a client (`infer`), as remote VLA servers have: a mapping with `actions`, or an array;
+                - a function of the observation.
+                Each answers with (d,), or a chunk (T, d); d is the pose's width, and one more with a gripper.
+            frames: format, reference, tool and base frame of the policy's poses.
+            actions_per_chunk: poses used of a chunk before the policy is asked again; None: all.
+            sees_joints: whether the policy's `observation.state` is the joints as measured; else it is the
+                end-effector pose in `frames.form`, and the gripper where there is one.
+            preprocessor, postprocessor: a LeRobot policy's own.
+
+        Raises:
+            TypeError: if `policy` is none of these.
+        """
+        self.adapter, self.policy, self.frames = adapter, policy, frames
+        self.actions_per_chunk, self.sees_joints = actions_per_chunk, sees_joints
+        self.preprocessor, self.postprocessor = preprocessor, postprocessor
+        self._ask = self._find_call(policy)
+        self._targets: deque[tuple[Array, float | None]] = deque()
+        self.result: IKResult | None = None
+
+    def reset(self) -> None:
+        """Forget the past, the chunk in use included: call it when an episode starts."""
+        self._targets.clear()
+        self.adapter.reset()
+        self.result = None
+        for part in (self.policy, self.preprocessor, self.postprocessor):
+            if hasattr(part, "reset"):
+                part.reset()
+
+    def select_action(self, observation: Mapping[str, Any]) -> Array:
+        """The next joint command.
+
+        Args:
+            observation: `observation.state`, the measured joints [rad] (dof,), and the gripper's opening where
+                there is one, (dof + 1,); whatever else the policy needs.
+
+        Returns:
+            absolute joint command [rad], (dof,); with the gripper's, (dof + 1,), if the policy commands it or
+            the state has it (then it keeps its opening).
+
+        Raises:
+            KeyError: without a state.
+            ValueError: a state or an answer of a wrong shape, or an answer that is no pose.
+        """
+        joints, gripper = self._split(observation)
+        if not self._targets:
+            self._targets.extend(self._targets_of(observation, joints, gripper))
+        target, opening = self._targets.popleft()
+        self.result = self.adapter.solve(joints, target)
+        opening = gripper if opening is None else opening
+        return self.result.q if opening is None else np.append(self.result.q, opening)
+
+    def _split(self, observation: Mapping[str, Any]) -> tuple[Array, float | None]:
+        if STATE not in observation:
+            raise KeyError(f"the observation has no {STATE!r}; it has {sorted(observation)}")
+        state = np.asarray(observation[STATE], dtype=float)
+        dof = len(self.adapter.joint_names)
+        if state.shape not in ((dof,), (dof + 1,)):
+            raise ValueError(
+                f"{STATE}: expected {dof} joints, or these and a gripper, got shape {state.shape}"
+            )
+        return state[:dof], float(state[dof]) if len(state) > dof else None
+
+    def _targets_of(
+        self, observation: Mapping[str, Any], joints: Array, gripper: float | None
+    ) -> list[tuple[Array, float | None]]:
+        pose = self.adapter.forward(joints)
+        seen = dict(observation)
+        seen[POSE] = self.frames.to_policy(pose)
+        if not self.sees_joints:
+            seen[STATE] = seen[POSE] if gripper is None else np.append(seen[POSE], gripper)
+        answer = self._ask(seen)
+        width = self.frames.form.width
+        if answer.ndim not in (1, 2) or answer.shape[-1] not in (width, width + 1) or not answer.size:
+            names = " ".join(self.frames.form.names)
+            raise ValueError(
+                f"the policy answered with shape {answer.shape}; expected poses of {width} numbers ({names}), "
+                f"or {width + 1} with a gripper, one or a chunk (T, d)"
+            )
+        rows = np.atleast_2d(answer)[: self.actions_per_chunk]
+        if not np.isfinite(rows).all():
+            # The adapter holds at a target that is not finite, and says so.
+            return [(np.full(7, np.nan), None)]
+        # A chunk's relative poses all refer to the pose at which the policy was asked.
+        targets = self.frames.from_policy(rows[:, :width], pose)
+        openings = rows[:, width].tolist() if rows.shape[1] > width else [None] * len(rows)
+        return list(zip(targets, openings, strict=True))
+
+    def _find_call(self, policy: Any) -> Callable[[dict[str, Any]], Array]:
+        if hasattr(policy, "select_action"):
+            return self._ask_lerobot
+        if hasattr(policy, "infer"):
+            return lambda observation: _actions(policy.infer(observation))
+        if callable(policy):
+            return lambda observation: _actions(policy(observation))
+        raise TypeError(
+            f"{type(policy).__name__} is no end-effector policy: expected select_action, infer, or a function"
+        )
+
+    def _ask_lerobot(self, observation: dict[str, Any]) -> Array:
+        """A LeRobot policy's next action: it keeps its own chunk."""
+        import torch
+
+        batch: Any = {
+            name: torch.as_tensor(np.asarray(value), dtype=torch.float32).unsqueeze(0)
+            if isinstance(value, (np.ndarray, list, tuple))
+            else value
+            for name, value in observation.items()
+        }
+        with torch.inference_mode():
+            batch = self.preprocessor(batch) if self.preprocessor else batch
+            action = self.policy.select_action(batch)
+            action = self.postprocessor(action) if self.postprocessor else action
+        return action[0].double().cpu().numpy()
+
+
+def _actions(answer: ArrayLike | Mapping[str, Any]) -> Array:
+    if isinstance(answer, Mapping):
+        for name in ("actions", "action"):
+            if name in answer:
+                return np.asarray(answer[name], dtype=float)
+        raise ValueError(f"the policy answered with {sorted(answer)}; expected 'actions'")
+    return np.asarray(answer, dtype=float)

@@ -1,0 +1,96 @@
+"""Configurations of the AIRBOT Play as LeRobot robots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lerobot.cameras import CameraConfig
+from lerobot.robots.config import RobotConfig
+
+from robot_adapters.ik_options import IKOptions
+from robot_adapters.poses import PoseFormat
+
+
+@dataclass
+class AirbotConnection:
+    """One arm's bus, and how it is driven."""
+
+    # python-can's interface: socketcan, slcan, udp_multicast; virtual starts a simulated arm by itself.
+    interface: str = "socketcan"
+    # can0, /dev/ttyACM0, a multicast address; null: the interface's usual one.
+    channel: str | None = None
+    # Units of the joints' features: rad or deg.
+    joint_units: str = "rad"
+    # Targets further away are walked to in steps of this size [rad]; null: they are refused beyond 0.5 rad.
+    max_relative_target: float | None = None
+    # Leave out the gripper, for an arm without one.
+    gripper: bool = True
+    # interface=virtual: joints at which the simulated arm starts [rad]; empty: its home.
+    start: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if self.joint_units not in ("rad", "deg"):
+            raise ValueError(f"joint_units={self.joint_units!r}: expected 'rad' or 'deg'")
+        if self.max_relative_target is not None and not 0 < self.max_relative_target <= 0.5:
+            raise ValueError(f"max_relative_target must lie in (0, 0.5] rad, got {self.max_relative_target}")
+
+
+@RobotConfig.register_subclass("airbot_play")
+@dataclass
+class AirbotPlayConfig(AirbotConnection, RobotConfig):
+    """An AIRBOT Play in joint space: joint1.pos ... joint6.pos, gripper.pos (opening in m)."""
+
+    cameras: dict[str, CameraConfig] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        AirbotConnection.__post_init__(self)
+        RobotConfig.__post_init__(self)
+
+
+@RobotConfig.register_subclass("airbot_play_ee")
+@dataclass
+class AirbotPlayEEConfig(AirbotPlayConfig):
+    """An AIRBOT Play in end-effector space: ee.x.pos ... ee.gripper.pos, with MimicIK inside.
+
+    `max_relative_target` is not used: the adapter approaches far targets step by step.
+    """
+
+    ik: IKOptions = field(default_factory=IKOptions)
+    # Format of the pose: quaternion (ee.qx.pos ...), rotation_vector (ee.wx.pos ...) or rotation_6d.
+    rotation: str = "quaternion"
+    # Pose of the robot's tool in the checkpoint's tool frame: x y z qx qy qz qw; empty: the same.
+    tool: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        PoseFormat(self.rotation)
+
+
+@dataclass
+class BiAirbotOptions:
+    """Two arms side by side, each on a bus of its own; the keys of each begin with left_ and right_."""
+
+    left: AirbotConnection = field(default_factory=AirbotConnection)
+    right: AirbotConnection = field(default_factory=lambda: AirbotConnection(channel="can1"))
+
+
+@RobotConfig.register_subclass("bi_airbot_play")
+@dataclass
+class BiAirbotPlayConfig(BiAirbotOptions, RobotConfig):
+    """Two AIRBOT Plays in joint space."""
+
+    cameras: dict[str, CameraConfig] = field(default_factory=dict)
+
+
+@RobotConfig.register_subclass("bi_airbot_play_ee")
+@dataclass
+class BiAirbotPlayEEConfig(BiAirbotPlayConfig):
+    """Two AIRBOT Plays in end-effector space, each pose in its own arm's base frame."""
+
+    ik: IKOptions = field(default_factory=IKOptions)
+    rotation: str = "quaternion"
+    tool: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        PoseFormat(self.rotation)

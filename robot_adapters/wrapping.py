@@ -1,0 +1,159 @@
+"""Checkpoints of end-effector policies made ready for robots, with the inverse kinematics inside or without.
+
+    preprocessor   rename, batch, device, [JointsToEEState], normalise     (joints in, poses to the policy)
+    postprocessor  unnormalise, device, [EEActionToJoints]                 (poses from the policy, joints out)
+
+For robots in end-effector space only the preprocessor of a policy without cameras changes: it is given its state
+as environment state too.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from robot_adapters.adapter import AdapterSettings, MimicIKAdapter
+from robot_adapters.poses import PoseFormat
+
+_STATE, _ENVIRONMENT = "observation.state", "observation.environment_state"
+_COPIED = ("*.safetensors", "*.json", "*.md", "*.yaml")
+
+
+def wrap_checkpoint(
+    policy_path: str,
+    ik_path: str | None,
+    output: str | Path,
+    *,
+    rotation: PoseFormat = PoseFormat.QUATERNION,
+    tool: Sequence[float] = (),
+    joint_units: str = "rad",
+    settings: AdapterSettings | None = None,
+) -> Path:
+    """Write a copy of an end-effector policy's checkpoint that takes and gives joints, or poses.
+
+    Args:
+        policy_path: the policy's checkpoint: a folder, a training run's output, or a Hub repository.
+        ik_path: a MimicIK checkpoint; None: the robot takes poses, as `airbot_play_ee` does.
+        output: folder to write; must not exist or be empty.
+        rotation: format of the policy's poses, in state and action; a gripper may follow.
+        tool: the policy's tool in the arm's tool frame, T_tool_policytool (7,); empty: the same.
+        joint_units: `rad` or `deg`, of the robot.
+        settings: of the adapter.
+
+    Returns:
+        the folder.
+
+    Raises:
+        FileExistsError: `output` holds something.
+        FileNotFoundError, TypeError: a checkpoint is missing, or not of the right kind.
+        ValueError: the policy's state or action is no pose in that format.
+    """
+    from lerobot.configs import PreTrainedConfig
+    from lerobot.policies.factory import make_pre_post_processors
+    from lerobot.processor import NormalizerProcessorStep, PolicyProcessorPipeline, ProcessorStep
+
+    from lerobot_mimicik.solvers.mimicik import find_checkpoint
+    from robot_adapters.processor_steps import EEActionToJoints, JointsToEEState, StateAsEnvironment
+
+    output = Path(output)
+    if output.exists() and any(output.iterdir()):
+        raise FileExistsError(f"{output} exists already; choose another folder")
+    source = _local_folder(find_checkpoint(policy_path))
+    config = PreTrainedConfig.from_pretrained(source)
+    state_keys = _check_features(config, rotation)
+    before: ProcessorStep = StateAsEnvironment()
+    after: list[ProcessorStep] = []
+    joint_names: Sequence[str] = ()
+    if ik_path is not None:
+        adapter = MimicIKAdapter.from_pretrained(ik_path)
+        policy = adapter.solver.policy  # type: ignore[attr-defined]
+        joint_names = adapter.joint_names
+        shared: dict[str, Any] = {
+            "joint_units": joint_units,
+            "rotation": rotation.value,
+            "tool": list(tool),
+            "link": f"{source.name}-{Path(ik_path).name}-{output.name}",
+        }
+        before = JointsToEEState(arm=adapter.description.to_json(), state_keys=state_keys, **shared)
+        # The settings as asked for: the checkpoint's training ranges are found again on loading.
+        solve = EEActionToJoints(
+            policy=_plain_config(policy.config), settings=asdict(settings or AdapterSettings()), **shared
+        )
+        solve.load_state_dict(policy.state_dict())
+        after = [solve]
+    elif _ENVIRONMENT not in state_keys:
+        raise ValueError("without ik.path there is nothing to do: the policy needs no environment state")
+    preprocessor, postprocessor = make_pre_post_processors(config, pretrained_path=str(source))
+    steps = list(preprocessor.steps)
+    place = next((i for i, s in enumerate(steps) if isinstance(s, NormalizerProcessorStep)), len(steps))
+    steps.insert(place, before)
+    output.mkdir(parents=True, exist_ok=True)
+    for pattern in _COPIED:
+        for path in source.glob(pattern):
+            if not path.name.startswith(("policy_preprocessor", "policy_postprocessor")):
+                shutil.copy2(path, output / path.name)
+    PolicyProcessorPipeline(steps=steps, name=preprocessor.name).save_pretrained(output)
+    steps = [*postprocessor.steps, *after]
+    PolicyProcessorPipeline(steps=steps, name=postprocessor.name).save_pretrained(output)
+    if joint_names:
+        _rename_actions(output / "config.json", joint_names)
+    return output
+
+
+def _local_folder(path: str) -> Path:
+    if Path(path).is_dir():
+        return Path(path)
+    from huggingface_hub import snapshot_download
+
+    return Path(snapshot_download(path))
+
+
+def _check_features(config: Any, rotation: PoseFormat) -> list[str]:
+    """The keys under which the policy sees its state; ValueError if its numbers are no pose."""
+    widths = {key: feature.shape[-1] for key, feature in (config.input_features or {}).items()}
+    keys = [key for key in (_STATE, _ENVIRONMENT) if key in widths]
+    action = config.output_features["action"].shape[-1]
+    fitting = (rotation.width, rotation.width + 1)
+    if not keys or action not in fitting or any(widths[key] not in fitting for key in keys):
+        raise ValueError(
+            f"the policy ({config.type}) has inputs {widths} and an action of {action} numbers; expected a pose "
+            f"of {rotation.width} ({' '.join(rotation.names)}), with or without a gripper, as "
+            f"{_STATE} or {_ENVIRONMENT} and as action"
+        )
+    return keys
+
+
+def _plain_config(config: Any) -> dict[str, Any]:
+    """A MimicIK configuration as keyword arguments that survive JSON, without what only training needs."""
+    import dataclasses
+
+    left_out = {"input_features", "output_features", "normalization_mapping", "pretrained_path"}
+    plain = {
+        each.name: getattr(config, each.name)
+        for each in dataclasses.fields(config)
+        if each.init and each.name not in left_out
+    }
+    kept = {name: value for name, value in plain.items() if _is_plain(value)}
+    return kept | {"device": "cpu", "push_to_hub": False, "repo_id": None}
+
+
+def _is_plain(value: Any) -> bool:
+    try:
+        json.dumps(value)
+    except TypeError:
+        return False
+    return True
+
+
+def _rename_actions(path: Path, joint_names: Sequence[str]) -> None:
+    """A policy that names its actions names joints now."""
+    config = json.loads(path.read_text())
+    names = config.get("action_feature_names")
+    if names:
+        grippers = [name.removeprefix("ee.") for name in names if "gripper" in name]
+        config["action_feature_names"] = [f"{name}.pos" for name in joint_names] + grippers
+        path.write_text(json.dumps(config, indent=4) + "\n")
