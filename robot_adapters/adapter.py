@@ -7,7 +7,7 @@ target T_base_tool ──> at most one step's worth of the way ──> solver �
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,8 +74,8 @@ class AdapterSettings:
         reference: joints that a step starts from: `commanded`, the command in force, while the arm follows
             it within `resync` [rad]; `measured`, always what was measured, lag and noise included.
         max_step: largest joint motion of a command [rad].
-        max_translation, max_rotation: largest part of the way that the solver is asked for at once [m, rad];
-            None: for a MimicIK policy what it saw in training, else 0.05 m and 0.3 rad.
+        max_translation, max_rotation: largest part of the way that the solver is asked for at once [m, rad]. A
+            MimicIK policy is besides never asked for more than it saw in training.
         position_tolerance, rotation_tolerance: errors of a target that counts as reached [m, rad].
         relaxed_position, relaxed_rotation: errors from which, for a target in reach, a step of damped least
             squares takes the place of the solver's answer [m, rad].
@@ -84,12 +84,12 @@ class AdapterSettings:
 
     reference: str = "commanded"
     max_step: float = 0.095
-    max_translation: float | None = None
-    max_rotation: float | None = None
+    max_translation: float = 0.05
+    max_rotation: float = 0.3
     position_tolerance: float = 0.002
     rotation_tolerance: float = 0.02
-    relaxed_position: float = 0.01
-    relaxed_rotation: float = 0.1
+    relaxed_position: float = 0.005
+    relaxed_rotation: float = 0.05
     resync: float = 0.25
 
     def __post_init__(self) -> None:
@@ -97,7 +97,7 @@ class AdapterSettings:
             raise ValueError(f"reference={self.reference!r}: expected 'commanded' or 'measured'")
         for each in fields(self):
             value = getattr(self, each.name)
-            if each.name != "reference" and value is not None and not (np.isfinite(value) and value > 0):
+            if each.name != "reference" and not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{each.name} must be finite and positive, got {value}")
 
 
@@ -112,7 +112,8 @@ class MimicIKAdapter:
     ) -> None:
         """`solver` answers for the arm of `description`; ValueError for settings that fit neither."""
         self.solver, self.description = solver, description
-        self.settings = _with_training_ranges(settings or AdapterSettings(), solver)
+        self.settings = settings or AdapterSettings()
+        self._lower_step, self._upper_step = _step_range(self.settings, solver)
         self.chain = array_chain(description)
         joints = description.joints()
         self.lower, self.upper = (np.array([getattr(j, side) for j in joints]) for side in ("lower", "upper"))
@@ -213,10 +214,8 @@ class MimicIKAdapter:
 
     def _solve(self, start: Array, target: Array) -> IKResult:
         settings = self.settings
-        assert settings.max_translation is not None
-        assert settings.max_rotation is not None
         here = self.forward(start)
-        waypoint, share = towards(here, target, settings.max_translation, settings.max_rotation)
+        waypoint, share = towards(here, target, self._lower_step, self._upper_step)
         try:
             if self.solver.batched:
                 answer = self.solver.solve(start[None], waypoint[None])[0]
@@ -282,17 +281,13 @@ def _step(start: Array, q: Array) -> float:
     return float(np.abs(q - start).max())
 
 
-def _with_training_ranges(settings: AdapterSettings, solver: IKSolver) -> AdapterSettings:
-    """Fills in how far a target the solver is asked for at once, from what a MimicIK policy was trained on."""
-    translation, rotation = 0.05, 0.3
+def _step_range(settings: AdapterSettings, solver: IKSolver) -> tuple[Array, Array]:
+    """Smallest and largest pose step (6,) [m, rad] that the solver is asked for at once."""
+    largest = np.array([settings.max_translation] * 3 + [settings.max_rotation] * 3)
     relative = getattr(getattr(getattr(solver, "policy", None), "conditioning", None), "relative", None)
-    if relative is not None:
-        reach = np.minimum(-relative.lower.double().cpu().numpy(), relative.upper.double().cpu().numpy())
-        if (reach > 0).all():
-            # Components lie within the training range where the norm lies within the smallest of them.
-            translation, rotation = float(reach[:3].min()), float(reach[3:].min())
-    return replace(
-        settings,
-        max_translation=settings.max_translation or translation,
-        max_rotation=settings.max_rotation or rotation,
-    )
+    if relative is None:
+        return -largest, largest
+    lower, upper = (bound.double().cpu().numpy() for bound in (relative.lower, relative.upper))
+    # An axis that training left out must not keep targets from being approached at all.
+    least = 0.1 * largest
+    return -np.clip(-lower, least, largest), np.clip(upper, least, largest)

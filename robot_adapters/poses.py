@@ -124,23 +124,27 @@ def pose_distance(pose_a: Array, pose_b: Array) -> tuple[float, float]:
     return float(np.linalg.norm(pose_a[:3] - pose_b[:3])), float(turn.magnitude())
 
 
-def towards(pose: Array, target: Array, max_translation: float, max_rotation: float) -> tuple[Array, float]:
-    """A pose on the way from one pose to another, at most so far [m] and so much turned [rad].
+def towards(pose: Array, target: Array, lower: Array, upper: Array) -> tuple[Array, float]:
+    """A pose on the way from one pose to another, no further than a step between `lower` and `upper`.
 
     Position goes along the straight line, rotation along the shortest turn, both by the same share.
+
+    Args:
+        pose, target: (7,).
+        lower, upper: bounds of the step, translation [m] and rotation vector of R_target R_pose^T [rad], (6,),
+            negative and positive.
 
     Returns:
         the pose (7,) and the share of the way, 1.0 for the target itself.
     """
-    distance, angle = pose_distance(pose, target)
-    share = min(1.0, max_translation / max(distance, 1e-12), max_rotation / max(angle, 1e-12))
-    if share >= 1.0:
-        return target.copy(), 1.0
     start = Rotation.from_quat(pose[3:])
     turn = (Rotation.from_quat(target[3:]) * start.inv()).as_rotvec()
-    position = pose[:3] + share * (target[:3] - pose[:3])
+    step = np.concatenate([target[:3] - pose[:3], turn])
+    share = float(1.0 / max(1.0, (step / np.where(step < 0, lower, upper)).max()))
+    if share >= 1.0:
+        return target.copy(), 1.0
     rotation = Rotation.from_rotvec(share * turn) * start
-    return np.concatenate([position, rotation.as_quat(canonical=True)]), share
+    return np.concatenate([pose[:3] + share * step[:3], rotation.as_quat(canonical=True)]), share
 
 
 @dataclass(frozen=True)

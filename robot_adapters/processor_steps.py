@@ -264,7 +264,7 @@ class EEActionToJoints(ProcessorStep):
         return {name: value.contiguous() for name, value in self._policy.state_dict().items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Loads the weights, and with them how far apart targets were in training."""
+        """Loads the weights, and with them how far targets were from the tool in training."""
         self._policy.load_state_dict(state)
         settings = AdapterSettings(**self.settings)
         self._adapter = MimicIKAdapter(self._adapter.solver, self._adapter.description, settings)

@@ -98,12 +98,13 @@ def evaluate(
                 options = RolloutOptions(seed=seed, progress=progress, label=label)
                 rollouts = make_rollouts(mode, solver, recording.set.trajectories, options)
                 traces = tuple(measure(arm, rollouts))
-                yield _evaluation(name, mode, recording, traces, latencies[name])
+                yield make_evaluation(name, mode, recording, traces, latencies[name])
 
 
-def _evaluation(
+def make_evaluation(
     name: str, mode: str, recording: Recording, traces: tuple[Trace, ...], latency: Latency
 ) -> Evaluation:
+    """The row of one solver on one dataset in one mode, and what it rests on."""
     row: dict[str, Any] = {"solver": name, "mode": mode, "dataset": recording.set.name}
     row |= summarise(traces)
     row |= {"latency_ms_median": latency.median_ms, "latency_ms_p99": latency.p99_ms}

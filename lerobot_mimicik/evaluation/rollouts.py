@@ -1,7 +1,8 @@
 """Driving a solver along recorded motion: the modes of evaluation and what they leave behind.
 
 A mode is a function ``(solver, trajectories, options) -> list of Rollout`` registered by name with
-``register_mode``; everything after it (metrics, verdicts, report) treats all modes alike.
+``register_mode``; everything after it (metrics, verdicts, report) treats all modes alike. Modes that need an
+arm come from elsewhere: modules of the entry-point group ``mimicik.modes`` register theirs when imported.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +71,8 @@ def register_mode(name: str) -> Callable[[Mode], Mode]:
 
 def known_modes() -> tuple[str, ...]:
     """Names that ``make_rollouts`` takes."""
+    for entry in entry_points(group="mimicik.modes"):
+        entry.load()
     return tuple(_MODES)
 
 
@@ -80,7 +84,7 @@ def make_rollouts(
     Raises:
         ValueError: If no mode has that name.
     """
-    if mode not in _MODES:
+    if mode not in _MODES and mode not in known_modes():
         raise ValueError(f"Unknown mode {mode!r}; known are {', '.join(_MODES)}.")
     return _MODES[mode](solver, trajectories, options or RolloutOptions())
 

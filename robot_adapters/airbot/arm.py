@@ -175,6 +175,10 @@ class AirbotArm:
         assert verdict.q is not None  # the loop always has a target in force
         return CommandResult(verdict.status, verdict.q, verdict.events)
 
+    def target(self) -> NDArray[np.float64]:
+        """The joint target in force [rad] (dof,). Raises NotConnectedError."""
+        return self._running().target()
+
     def events(self) -> tuple[SafetyEvent, ...]:
         """What the control loop did since the last command or call, for callers that send no commands."""
         return self._running().news()

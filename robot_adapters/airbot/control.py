@@ -128,6 +128,11 @@ class ControlLoop:
                     self._gripper.aim([motor_angle_from_opening(min(max(opening, 0.0), MAX_OPENING))], now)
             return Verdict(verdict.status, self._setpoint.target.copy(), self.news() + verdict.events)
 
+    def target(self) -> NDArray[np.float64]:
+        """The target in force [rad] (dof,): the last one admitted, or where the arm holds."""
+        with self.lock:
+            return self._setpoint.target.copy()
+
     def news(self) -> tuple[SafetyEvent, ...]:
         """The events of the control loop since the last call."""
         with self.lock:

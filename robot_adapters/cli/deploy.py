@@ -1,0 +1,315 @@
+"""`mimicik deploy`: the paper's deployment, a checkpoint driving an arm along end-effector targets at 20 Hz."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import draccus
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.evaluation.evaluate import Recording
+    from robot_adapters.adapter import MimicIKAdapter
+    from robot_adapters.deployment import DeploymentLog
+
+HELP = (
+    "Drive an arm, real or simulated, along end-effector targets with a checkpoint, at 20 Hz, and measure it."
+)
+
+
+@dataclass
+class PolicyPath:
+    """The MimicIK checkpoint."""
+
+    # A checkpoint's folder, a training run's output folder, or a Hub repository.
+    path: str = ""
+
+
+@dataclass
+class MotionSource:
+    """The end-effector motion to follow."""
+
+    # Folder of a LeRobot dataset with joints and target poses; empty: near-singular motion is generated.
+    root: str = ""
+    # Episodes to drive, as numbers and ranges such as 0-9,12; empty: all of them.
+    episodes: str = ""
+    # Seconds of each episode; 0: all.
+    seconds: float = 0.0
+
+
+@dataclass
+class DeployConfig:
+    """Options of `mimicik deploy`. Writes report.json and report.md, as `mimicik eval`, and deployment.json."""
+
+    policy: PolicyPath = field(default_factory=PolicyPath)
+    dataset: MotionSource = field(default_factory=MotionSource)
+    # python-can's interface of the arm: socketcan, slcan, udp_multicast; virtual starts a simulated arm.
+    interface: str = "virtual"
+    # can0, /dev/ttyACM0, a multicast address; null: the interface's usual one.
+    channel: str | None = None
+    # interface=virtual: run in real time, or as fast as the computer can.
+    real_time: bool = True
+    # Joints that a step starts from: commanded (the command in force) or measured.
+    reference: str = "commanded"
+    # Where the network runs.
+    device: str = "cpu"
+    # Threads that torch uses.
+    threads: int = 1
+    # Show the deployment in rerun.
+    display: bool = False
+    # Write what rerun would show to this file (.rrd) instead of opening its viewer.
+    display_file: str = ""
+    # Where the report goes.
+    out: str = "outputs/deploy"
+    # For the simulated arm's noise and generated motion.
+    seed: int = 0
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command; status 1 where the arm stopped before the end."""
+    from lerobot_mimicik.cli.options import bare_switches
+    from lerobot_mimicik.evaluation.report import markdown_table
+
+    config = draccus.parse(DeployConfig, args=bare_switches(argv, DeployConfig), prog="mimicik deploy")
+    summary, row = run(config)
+    print(markdown_table([row]))
+    for key in (
+        "control_period_ms",
+        "solve_ms",
+        "loop_250hz",
+        "ik",
+        "tool_error_mm",
+        "commands",
+        "events",
+        "protections",
+    ):
+        print(f"{key}: {json.dumps(summary[key])}")
+    print(f"Report: {config.out}/report.json, {config.out}/deployment.json")
+    if summary["stopped"]:
+        print(f"The arm stopped: {summary['stopped']}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Deploy and write the reports; the content of deployment.json, and the report's row.
+
+    Raises:
+        ValueError: an option does not fit.
+        FileNotFoundError: the checkpoint or the dataset does not exist.
+        ConnectionError: the arm does not answer.
+    """
+    import torch
+
+    from lerobot_mimicik.evaluation.evaluate import make_evaluation
+    from lerobot_mimicik.evaluation.latency import Latency
+    from lerobot_mimicik.evaluation.metrics import measure
+    from lerobot_mimicik.evaluation.report import write_report
+    from lerobot_mimicik.evaluation.rollouts import Rollout
+    from lerobot_mimicik.kinematics.chain import SerialArm
+    from robot_adapters.adapter import MimicIKAdapter
+
+    if not config.policy.path:
+        raise ValueError("--policy.path is missing: the MimicIK checkpoint")
+    torch.set_num_threads(config.threads)
+    adapter = MimicIKAdapter.from_pretrained(config.policy.path, config.device, reference=config.reference)
+    arm = SerialArm(adapter.description, dtype=torch.float64)
+    recording = _motion(config, adapter, arm)
+    logs, extra = _drive(config, adapter, recording, progress)
+    rollouts = [
+        Rollout(trajectory, log.before, log.commanded, log.asked)
+        for trajectory, log in zip(recording.set.trajectories, logs, strict=False)
+    ]
+    traces = tuple(measure(arm, rollouts))
+    solve = [ms for log in logs for ms in log.solve_ms]
+    latency = Latency(_percentile(solve, 50), _percentile(solve, 99), len(solve))
+    evaluation = make_evaluation("mimicik", "plant", recording, traces, latency)
+    write_report(config.out, [evaluation.row], [recording], asdict(config))
+    summary = _summary(logs) | extra | {"tool_error_mm": _tool_error(adapter, recording, logs)}
+    (Path(config.out) / "deployment.json").write_text(json.dumps(summary, indent=2) + "\n")
+    return summary, evaluation.row
+
+
+def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> Recording:
+    """The motion to follow: recorded, or the generated near-singular set."""
+    import tempfile
+    from dataclasses import replace
+
+    from lerobot_mimicik.cli.options import numbers
+    from lerobot_mimicik.evaluation.evaluate import study
+    from lerobot_mimicik.evaluation.trajectories import Layout, Trajectory, load_trajectories
+
+    policy = adapter.solver.policy  # type: ignore[attr-defined]
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(config.dataset.root or _generated(Path(folder), config))
+        layout = Layout.of_policy(policy.config) if config.dataset.root else Layout()
+        episodes = numbers(config.dataset.episodes, "--dataset.episodes") or None
+        found = load_trajectories(root, arm, layout, episodes, root.name)
+    if config.dataset.seconds:
+        last = max(int(config.dataset.seconds * found.fps), 1)
+        cut = tuple(Trajectory(t.index, t.q[:last], t.target[:last]) for t in found.trajectories)
+        found = replace(found, trajectories=cut)
+    return study(arm, found)
+
+
+def _generated(folder: Path, config: DeployConfig) -> Path:
+    from lerobot_mimicik.data.synthetic import make_synthetic
+    from lerobot_mimicik.kinematics.arms import describe_arm
+
+    make_synthetic(folder, 1, describe_arm("airbot_play"), seed=config.seed, test_share=0.0, progress=False)
+    return folder / "ood"
+
+
+def _drive(
+    config: DeployConfig, adapter: MimicIKAdapter, recording: Recording, progress: bool
+) -> tuple[list[DeploymentLog], dict[str, Any]]:
+    """Drive every trajectory, and say what driver and simulated arm counted."""
+    from tqdm import tqdm
+
+    from robot_adapters.airbot.arm import AirbotArm
+    from robot_adapters.airbot.cell import SimulatedCell
+    from robot_adapters.clock import RealClock, SimulatedClock
+    from robot_adapters.deployment import Watcher, approach, drive
+    from robot_adapters.display import RerunDisplay
+
+    fps = recording.set.fps
+    watchers: list[Watcher] = []
+    if config.display or config.display_file:
+        watchers.append(RerunDisplay(adapter, fps, config.display_file or None).frame)
+    statuses: Counter[str] = Counter()
+    sources: Counter[str] = Counter()
+    worst: dict[str, float] = {"position_error_mm": 0.0, "step_rad": 0.0}
+
+    def control(q: Any, target: Any) -> Any:
+        result = adapter.solve(q, target)
+        statuses[result.status] += 1
+        sources[result.source] += 1
+        worst["position_error_mm"] = max(worst["position_error_mm"], result.position_error * 1e3)
+        worst["step_rad"] = max(worst["step_rad"], result.step)
+        return result.q
+
+    logs: list[DeploymentLog] = []
+    loops, protections = [], []
+    bar = tqdm(
+        total=recording.set.frames,
+        unit="frame",
+        desc="deploying",
+        disable=not progress,
+        mininterval=0.2 if sys.stderr.isatty() else 10.0,
+    )
+    with bar:
+        for number, trajectory in enumerate(recording.set.trajectories):
+            cell: SimulatedCell | None = None
+            if config.interface == "virtual":
+                clock: Any = RealClock() if config.real_time else SimulatedClock()
+                cell = SimulatedCell(
+                    clock, q=trajectory.q[0], seed=config.seed + number, handle_signals=config.real_time
+                )
+                arm, clock = cell.arm, cell.clock
+            else:
+                clock = RealClock()
+                arm = AirbotArm(config.interface, config.channel, clock=clock)
+            adapter.reset()
+            try:
+                arm.connect()
+                approach(arm, clock, trajectory.q[0], 1.0 / fps)
+                log = drive(
+                    arm,
+                    clock,
+                    _told(control, adapter, arm),
+                    trajectory.target,
+                    fps,
+                    time.perf_counter,
+                    [*watchers, lambda *_: bar.update(1)],  # type: ignore[list-item]
+                )
+                loops.append(arm.statistics())
+                if cell is not None:
+                    simulation = cell.simulation
+                    protections.append(
+                        {
+                            "emergency_stop": simulation.emergency_stopped,
+                            "frames_above_0.1_rad": simulation.warnings,
+                            "largest_step_rad": round(simulation.largest_step, 4),
+                        }
+                    )
+            finally:
+                arm.close()
+                if cell is not None:
+                    cell.close()
+            logs.append(log)
+            if log.stopped:
+                break
+    extra = {
+        "ik": {
+            "statuses": dict(statuses),
+            "sources": dict(sources),
+            **{name: round(value, 4) for name, value in worst.items()},
+        },
+        "loop_250hz": [
+            {
+                "period_mean_ms": round(each.period_mean_ms, 3),
+                "period_p99_ms": round(each.period_p99_ms, 3),
+                "period_max_ms": round(each.period_max_ms, 3),
+                "jitter_std_ms": round(each.jitter_std_ms, 3),
+                "overruns": each.overruns,
+                "ticks": each.ticks,
+            }
+            for each in loops
+        ],
+        "protections": protections,
+    }
+    return logs, extra
+
+
+def _told(control: Any, adapter: MimicIKAdapter, arm: Any) -> Any:
+    """The controller, told before each frame what the driver made of the command before."""
+    first = True
+
+    def controller(q: Any, target: Any) -> Any:
+        nonlocal first
+        if not first:
+            adapter.commanded(arm.target())
+        first = False
+        return control(q, target)
+
+    return controller
+
+
+def _tool_error(adapter: MimicIKAdapter, recording: Recording, logs: list[DeploymentLog]) -> dict[str, float]:
+    """Between where the tool was measured and the target of that frame: the arm's lag included."""
+    import numpy as np
+
+    errors = [
+        float(np.linalg.norm(adapter.forward(q)[:3] - target[:3]) * 1e3)
+        for trajectory, log in zip(recording.set.trajectories, logs, strict=False)
+        for q, target in zip(log.measured[: log.asked], trajectory.target, strict=False)
+    ]
+    return {"median": _percentile(errors, 50), "p95": _percentile(errors, 95)}
+
+
+def _summary(logs: list[DeploymentLog]) -> dict[str, Any]:
+    periods = [ms for log in logs for ms in log.period_ms]
+    work = [ms for log in logs for ms in log.work_ms]
+    solve = [ms for log in logs for ms in log.solve_ms]
+    return {
+        "frames": sum(log.asked for log in logs),
+        "control_period_ms": {"median": _percentile(periods, 50), "p99": _percentile(periods, 99)}
+        | {"max": _percentile(periods, 100)},
+        "work_ms": {"median": _percentile(work, 50), "p99": _percentile(work, 99)},
+        "solve_ms": {"median": _percentile(solve, 50), "p99": _percentile(solve, 99)},
+        "commands": dict(sum((log.statuses for log in logs), Counter())),
+        "events": dict(sum((log.events for log in logs), Counter())),
+        "stopped": next((log.stopped for log in logs if log.stopped), ""),
+    }
+
+
+def _percentile(values: list[float], share: float) -> float:
+    import numpy as np
+
+    return round(float(np.percentile(values, share)), 3) if values else 0.0

@@ -1,0 +1,62 @@
+"""The evaluation mode `plant`: a solver drives the simulated arm over its bus, and is told what it measures.
+
+Everything between command and measurement is there: driver, safety, 250 Hz interpolation, CAN frames, the motors'
+lag, quantum and noise. Time is simulated, so that the result does not depend on how busy the computer is.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from tqdm import tqdm
+
+from lerobot_mimicik.evaluation.rollouts import Rollout, RolloutOptions, register_mode
+from lerobot_mimicik.evaluation.trajectories import Trajectory
+from lerobot_mimicik.solvers.base import Array, IKSolver
+
+FPS = 20.0
+
+
+@register_mode("plant")
+def plant(solver: IKSolver, trajectories: Sequence[Trajectory], options: RolloutOptions) -> list[Rollout]:
+    """Each trajectory on an AIRBOT Play of its own, at 20 Hz, from where the recording begins.
+
+    Raises:
+        ValueError: trajectories of another arm.
+        ModuleNotFoundError: without MuJoCo.
+    """
+    from robot_adapters.airbot.cell import SimulatedCell
+    from robot_adapters.deployment import drive
+
+    rollouts = []
+    with tqdm(
+        total=sum(map(len, trajectories)),
+        unit="frame",
+        desc=options.label,
+        disable=not options.progress,
+        mininterval=0.2 if sys.stderr.isatty() else 10.0,
+    ) as bar:
+        for number, trajectory in enumerate(trajectories):
+            with SimulatedCell(q=trajectory.q[0], seed=options.seed + number) as cell:
+                if trajectory.q.shape[1] != len(cell.arm.joint_names):
+                    raise ValueError(
+                        f"mode plant drives an AIRBOT Play of {len(cell.arm.joint_names)} joints; the "
+                        f"recordings have {trajectory.q.shape[1]}"
+                    )
+                cell.arm.connect()
+                solver.reset(trajectory.q[:1] if solver.batched else trajectory.q[0])
+
+                def ask(q: Array, target: Array) -> Array:
+                    answer = (
+                        solver.solve(q[None], target[None])[0] if solver.batched else solver.solve(q, target)
+                    )
+                    bar.update(1)
+                    return np.asarray(answer)
+
+                log = drive(cell.arm, cell.clock, ask, trajectory.target, FPS, time.perf_counter)
+            # Steps are counted from command to command, as the arm's own protections count them.
+            rollouts.append(Rollout(trajectory, log.before, log.commanded, log.asked))
+    return rollouts
