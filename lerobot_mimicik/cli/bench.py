@@ -254,7 +254,7 @@ def _measure(
         return True
     options: dict[str, Any] = {}
     if policy is not None:
-        options = {"policy": policy, "name": name, "device": config.device or None}
+        options = {"policy": policy, "device": config.device or None}
     try:
         solver = make_solver("mimicik" if policy is not None else name, arm, **options)
     except (RuntimeError, ImportError) as error:
