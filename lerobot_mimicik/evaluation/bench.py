@@ -120,7 +120,7 @@ def over_seeds(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, Any], dict[
     for key, value in first.items():
         values = [row.get(key) for row in rows]
         if key in _WORST:
-            first[key] = max(values)
+            first[key] = max(row[key] for row in rows)
         elif isinstance(value, int | float | None) and key != "seed":
             numbers = [number for number in values if number is not None]
             first[key] = float(np.mean(numbers)) if len(numbers) == len(rows) else None
