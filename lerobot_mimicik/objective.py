@@ -8,45 +8,52 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.network import FlowGenerator
 
 
-class Objective(ABC):
-    """How a flow generator is supervised and how an action is drawn from it."""
+class Objective[Network: nn.Module](ABC):
+    """How a network is supervised and how an action is drawn from it.
+
+    Attributes:
+        name: what its loss is called in the log.
+        draws: standard normal vectors of an action's width that drawing an action takes.
+    """
+
+    name: str
+    draws: int = 1
 
     @abstractmethod
-    def loss(
-        self, network: FlowGenerator, obs: Tensor, action: Tensor, noise: Tensor, time: Tensor
-    ) -> Tensor:
+    def loss(self, network: Network, obs: Tensor, action: Tensor, noise: Tensor, time: Tensor) -> Tensor:
         """Loss of each sample, squared L2 summed over action dimensions, shape (B,).
 
         Args:
-            network: the flow generator.
+            network: what is trained.
             obs: normalised observations, shape (B, T_o, n).
             action: normalised recorded actions, shape (B, n_a).
-            noise: standard normal, shape (B, n_a).
+            noise: standard normal, shape (B, draws * n_a).
             time: uniform in [0, 1), shape (B,).
         """
 
     @abstractmethod
-    def predict(self, network: FlowGenerator, obs: Tensor, noise: Tensor) -> Tensor:
+    def predict(self, network: Network, obs: Tensor, noise: Tensor) -> Tensor:
         """Normalised action for each observation, shape (B, n_a); differentiable.
 
         Args:
-            network: the flow generator.
+            network: what was trained.
             obs: normalised observations, shape (B, T_o, n).
-            noise: where a generative objective starts, standard normal, shape (B, n_a).
+            noise: where a generative objective starts, standard normal, shape (B, draws * n_a).
         """
 
 
-def _squared_norm(x: Tensor) -> Tensor:
+def squared_norm(x: Tensor) -> Tensor:
+    """Squared L2 over action dimensions, (*, n_a) -> (*,)."""
     return x.square().sum(dim=-1)
 
 
-class MinimalIterativePolicy(Objective):
+class MinimalIterativePolicy(Objective[FlowGenerator]):
     """Two supervised refinement steps (Pan et al. 2025, "Much Ado About Noising").
 
     loss = |f(0, 0, 0 | o) - a|^2 / t*^2 + |f(a + (1 - t*) z, t*, t* | o) - a|^2 / (1 - t*)^2
@@ -54,6 +61,8 @@ class MinimalIterativePolicy(Objective):
 
     The paper's velocity step x1 = x0 + alpha v(x0, o, s) is the same map with v = (f - x0) / alpha.
     """
+
+    name = "mip"
 
     def __init__(self, t_star: float = 0.9):
         self.t_star = t_star
@@ -64,7 +73,7 @@ class MinimalIterativePolicy(Objective):
         t_star, tokens = self.t_star, network.encode(obs)
         first = network(torch.zeros_like(action), 0.0, 0.0, tokens)
         second = network(action + (1 - t_star) * noise, t_star, t_star, tokens)
-        return _squared_norm(first - action) / t_star**2 + _squared_norm(second - action) / (1 - t_star) ** 2
+        return squared_norm(first - action) / t_star**2 + squared_norm(second - action) / (1 - t_star) ** 2
 
     def predict(self, network: FlowGenerator, obs: Tensor, noise: Tensor) -> Tensor:
         tokens = network.encode(obs)
@@ -72,8 +81,10 @@ class MinimalIterativePolicy(Objective):
         return network(first, self.t_star, self.t_star, tokens)
 
 
-class FlowMatching(Objective):
+class FlowMatching(Objective[FlowGenerator]):
     """Conditional flow matching along straight lines; inference is Euler integration from noise."""
+
+    name = "flow"
 
     def __init__(self, n_steps: int = 10):
         self.n_steps = n_steps
@@ -83,7 +94,7 @@ class FlowMatching(Objective):
     ) -> Tensor:
         x = torch.lerp(noise, action, time.unsqueeze(-1))
         velocity = network(x, time, time, network.encode(obs))
-        return _squared_norm(velocity - (action - noise))
+        return squared_norm(velocity - (action - noise))
 
     def predict(self, network: FlowGenerator, obs: Tensor, noise: Tensor) -> Tensor:
         tokens, x, step = network.encode(obs), noise, 1 / self.n_steps
@@ -92,13 +103,15 @@ class FlowMatching(Objective):
         return x
 
 
-class Regression(Objective):
+class Regression(Objective[FlowGenerator]):
     """One deterministic step a = f(0, 0, 0 | o), under a squared error."""
+
+    name = "regression"
 
     def loss(
         self, network: FlowGenerator, obs: Tensor, action: Tensor, noise: Tensor, time: Tensor
     ) -> Tensor:
-        return _squared_norm(self.predict(network, obs, noise) - action)
+        return squared_norm(self.predict(network, obs, noise) - action)
 
     def predict(self, network: FlowGenerator, obs: Tensor, noise: Tensor) -> Tensor:
         return network(torch.zeros_like(noise), 0.0, 0.0, network.encode(obs))

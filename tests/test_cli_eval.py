@@ -1,6 +1,7 @@
 """`mimicik eval` from the command line to report.json, with an untrained policy."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -64,6 +65,23 @@ def test_the_report_has_all_rows_and_hold_among_them(made, capsys):
         assert set(ROW_KEYS) <= set(row)
         assert row["frames"] == 24
     assert "| hold |" in (made / "out" / "report.md").read_text()
+
+
+def test_the_row_is_named_after_the_checkpoints_kind(made, tmp_path, capsys):
+    weights = tmp_path / "without"
+    shutil.copytree(made / "run" / "checkpoints" / "last" / "pretrained_model", weights)
+    config = json.loads((weights / "config.json").read_text())
+    (weights / "config.json").write_text(json.dumps(config | {"fk_weight": 0.0}))
+    options = [f"--dataset.root={made / 'data'}", "--mode=open_loop", "--latency_queries=3"]
+    for solvers in ("mimicik", "mimicik,mimicik_nofk"):
+        out = tmp_path / solvers
+        asked = [f"--policy.path={weights}", f"--solvers={solvers}", f"--out={out}"]
+        assert main(["eval", *options, *asked]) == 0
+        rows = json.loads((out / "report.json").read_text())["rows"]
+        assert [row["solver"] for row in rows] == ["mimicik_nofk", "hold"]
+    capsys.readouterr()
+    assert main(["eval", *options, f"--policy.path={weights}", "--solvers=mlp"]) == 1
+    assert "--solvers names mlp" in capsys.readouterr().err
 
 
 def test_without_a_policy_the_arm_comes_from_the_dataset(made):

@@ -46,7 +46,7 @@ def test_an_error_of_the_user_is_one_line_without_a_traceback(capsys, monkeypatc
         cli.main(["eval", "--dataset.root=/nowhere/at/all", "--solvers=hold"])
 
 
-@pytest.mark.parametrize("command", ["eval", "demo"])
+@pytest.mark.parametrize("command", ["eval", "demo", "bench"])
 def test_each_subcommand_explains_its_options(command, capsys):
     with pytest.raises(SystemExit) as stopped:
         cli.main([command, "--help"])

@@ -216,7 +216,6 @@ def train_policy(config: DemoConfig, recipe: Path, data: DemoData, output: Path)
     steps = config.steps or int(settings["steps"])
     log_freq = min(int(settings.get("log_freq", 200)), max(1, steps // 20))
     run = output / "train"
-    done = training_process.last_step(run)
     fresh = [
         f"--config_path={recipe}",
         f"--dataset.repo_id=local/{output.name}",
@@ -229,18 +228,7 @@ def train_policy(config: DemoConfig, recipe: Path, data: DemoData, output: Path)
         f"--policy.urdf={config.robot}",
         *([f"--policy.device={config.device}"] if config.device else []),
     ]
-    if done >= steps:
-        print(f"The training's {done} steps are done.")
-    elif done:
-        checkpoint = run / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
-        resumed = [f"--config_path={checkpoint}", "--resume=true", f"--steps={steps}"]
-        print(training_process.shown(resumed), flush=True)
-        training_process.train(resumed, steps, log_freq, output / "logs", start=done)
-    else:
-        # Without a checkpoint there is nothing to go on with, and LeRobot wants the folder to be new.
-        shutil.rmtree(run, ignore_errors=True)
-        print(training_process.shown(fresh), flush=True)
-        training_process.train(fresh, steps, log_freq, output / "logs")
+    training_process.train_or_resume(fresh, run, steps, log_freq, output / "logs")
     return steps, log_freq, training_process.shown(fresh)
 
 

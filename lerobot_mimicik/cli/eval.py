@@ -13,7 +13,7 @@ from lerobot_mimicik.cli.options import join_repeated, numbers, words
 if TYPE_CHECKING:
     from lerobot_mimicik.evaluation.evaluate import Evaluation
     from lerobot_mimicik.kinematics.arms import ArmDescription
-    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+    from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 
 HELP = "Measure a checkpoint on recorded motion: accuracy, smoothness, latency, behaviour at singularities."
 
@@ -45,7 +45,8 @@ class EvalConfig:
     mode: str = "open_loop,closed_loop"
     # Where report.json and report.md go.
     out: str = "outputs/eval"
-    # Rows of the table; hold (the arm does not move) is always among them.
+    # Rows of the table; hold (the arm does not move) is always among them. mimicik is the checkpoint of
+    # --policy.path, and its row is named after its kind: mimicik, mimicik_nofk, mlp or unet_diffusion.
     solvers: str = "mimicik,hold"
     # Episodes to use, as numbers and ranges such as 0-9,12; empty: all of them.
     episodes: str = ""
@@ -86,7 +87,7 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
     from lerobot_mimicik.hub import weights_digest
     from lerobot_mimicik.kinematics.chain import SerialArm
     from lerobot_mimicik.solvers import known_solvers, make_solver
-    from lerobot_mimicik.solvers.mimicik import load_policy
+    from lerobot_mimicik.solvers.mimicik import LEARNED, kind_of, load_policy
 
     roots = words(config.dataset.root)
     if not roots:
@@ -94,16 +95,26 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
     modes = _known(words(config.mode), known_modes(), "--mode")
     names = _known(words(config.solvers), known_solvers(), "--solvers")
     names += [] if "hold" in names else ["hold"]
-    if not config.policy.path:
-        if words(config.solvers) != words(EvalConfig.solvers) and "mimicik" in names:
-            raise ValueError("--solvers names mimicik, but --policy.path is missing: which checkpoint?")
-        names = [name for name in names if name != "mimicik"]
+    learned = [name for name in names if name in LEARNED]
+    if learned and not config.policy.path:
+        if words(config.solvers) != words(EvalConfig.solvers):
+            raise ValueError(f"--solvers names {learned[0]}, but --policy.path is missing: which checkpoint?")
+        names = [name for name in names if name not in learned]
+        learned = []
     if config.threads:
         torch.set_num_threads(config.threads)
 
-    policy: MimicIKPolicy | None = None
-    if "mimicik" in names:
+    policy: LearnedIKPolicy | None = None
+    kind = ""
+    if learned:
         policy = load_policy(config.policy.path, config.device or None)
+        kind = kind_of(policy.config)
+        others = [name for name in learned if name not in ("mimicik", kind)]
+        if others:
+            raise ValueError(
+                f"--solvers names {others[0]}, but {config.policy.path} is a checkpoint of {kind}."
+            )
+        names = list(dict.fromkeys(kind if name in learned else name for name in names))
     description = policy.config.arm_description() if policy is not None else _arm_of_dataset(roots[0])
     layout = Layout.of_policy(policy.config) if policy is not None else Layout()
     arm = SerialArm(description, dtype=torch.float64)
@@ -112,9 +123,7 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
         study(arm, load_trajectories(root, arm, layout, episodes, name))
         for root, name in zip(roots, distinct_names(roots), strict=True)
     ]
-    solvers = {
-        name: make_solver(name, arm, **({"policy": policy} if name == "mimicik" else {})) for name in names
-    }
+    solvers = {name: make_solver(name, arm, **({"policy": policy} if name == kind else {})) for name in names}
     settings = asdict(config) | {"device": str(policy.config.device) if policy is not None else "cpu"}
     if policy is not None:
         settings["weights"] = weights_digest(policy.state_dict())

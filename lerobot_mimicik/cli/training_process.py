@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -92,6 +93,36 @@ def train(arguments: Sequence[str], steps: int, log_freq: int, logs: Path, start
             f"lerobot-train failed with status {status}; all it printed is in {path}. The end of it:\n"
             + "\n".join(printed[-15:])
         )
+
+
+def train_or_resume(fresh: Sequence[str], run: Path, steps: int, log_freq: int, logs: Path) -> int:
+    """Run `lerobot-train` up to ``steps``, from the last checkpoint if there is one.
+
+    Args:
+        fresh: Its command line for a new run.
+        run: Its output folder, named in ``fresh`` too.
+        steps, log_freq, logs: As for `train`.
+
+    Returns:
+        Steps that were done before.
+
+    Raises:
+        RuntimeError: If it fails.
+    """
+    done = last_step(run)
+    if done >= steps:
+        print(f"The training's {done} steps are done.")
+    elif done:
+        checkpoint = run / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
+        resumed = [f"--config_path={checkpoint}", "--resume=true", f"--steps={steps}"]
+        print(shown(resumed), flush=True)
+        train(resumed, steps, log_freq, logs, start=done)
+    else:
+        # Without a checkpoint there is nothing to go on with, and LeRobot wants the folder to be new.
+        shutil.rmtree(run, ignore_errors=True)
+        print(shown(fresh), flush=True)
+        train(fresh, steps, log_freq, logs)
+    return done
 
 
 def read_curves(logs: Path, log_freq: int):

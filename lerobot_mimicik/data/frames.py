@@ -7,7 +7,7 @@ import torch
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor
 
-from lerobot_mimicik.configuration_mimicik import MimicIKConfig
+from lerobot_mimicik.configuration_learned import LearnedIKConfig
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.rotations import half_sphere
 
@@ -34,7 +34,7 @@ class IKFrames:
 class FrameReader:
     """Reads the columns that a configuration names, in SI units, with FK where a pose is not recorded."""
 
-    def __init__(self, config: MimicIKConfig):
+    def __init__(self, config: LearnedIKConfig):
         self.config = config
         self.to_radians = math.pi / 180 if config.joint_units == "deg" else 1.0
 

@@ -6,7 +6,7 @@ import torch
 from lerobot.utils.constants import ACTION
 from torch import Tensor
 
-from lerobot_mimicik.configuration_mimicik import MimicIKConfig
+from lerobot_mimicik.configuration_learned import LearnedIKConfig
 from lerobot_mimicik.data.frames import FrameReader, IKFrames
 from lerobot_mimicik.data.loading import FrameTable
 from lerobot_mimicik.kinematics.chain import SerialArm
@@ -27,7 +27,7 @@ class RunningRange:
 
 
 def iterate_frames(
-    table: FrameTable, config: MimicIKConfig, arm: SerialArm, chunk: int = 16_384
+    table: FrameTable, config: LearnedIKConfig, arm: SerialArm, chunk: int = 16_384
 ) -> Iterator[IKFrames]:
     """All frames of a dataset, read as training reads them, in chunks.
 

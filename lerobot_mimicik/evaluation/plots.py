@@ -26,7 +26,7 @@ from lerobot_mimicik.evaluation.verdict import (
 )
 
 # Okabe and Ito's colours: told apart by colour-blind readers too.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _GREY = "#777777"
 _SHADE = "#F0E442"
 _MODE_TITLES = {"open_loop": "open loop", "closed_loop": "closed loop"}
@@ -53,7 +53,7 @@ def plot_error_distribution(evaluations: Sequence[Evaluation]) -> Plot:
     """Share of frames with at most a given position error, one panel per mode."""
     modes = _unique(one.row["mode"] for one in evaluations)
     datasets = _unique(one.row["dataset"] for one in evaluations)
-    figure = _figure(8.6, 3.4)
+    figure = new_figure(8.6, 3.4)
     panels = np.atleast_1d(figure.subplots(1, len(modes), sharey=True))
     sentences = []
     for panel, mode in zip(panels, modes, strict=True):
@@ -67,29 +67,29 @@ def plot_error_distribution(evaluations: Sequence[Evaluation]) -> Plot:
                 panel.plot(
                     np.maximum(found, 1e-3),
                     100 * np.arange(1, found.size + 1) / error.size,
-                    color=_COLOURS[datasets.index(one.row["dataset"]) % len(_COLOURS)],
+                    color=COLOURS[datasets.index(one.row["dataset"]) % len(COLOURS)],
                     linestyle=":" if held else "-",
                     label=f"{one.row['solver']}, {one.row['dataset']}",
                 )
             if not held:
                 sentences.append(
                     f"{one.row['solver']} is within 10 mm on {one.row['sr10']:.1f} % of the frames of "
-                    f"{one.row['dataset']} in {_title(mode)}, within 1 mm on {one.row['sr1']:.1f} %"
+                    f"{one.row['dataset']} in {mode_title(mode)}, within 1 mm on {one.row['sr1']:.1f} %"
                 )
-        panel.set(xscale="log", xlabel="position error [mm]", title=_title(mode))
+        panel.set(xscale="log", xlabel="position error [mm]", title=mode_title(mode))
         panel.set_xlim(0.03, None)
         panel.axvline(RETURNED_MM, color=_GREY, linewidth=0.8)
     panels[0].set_ylabel("frames with at most this error [%]")
     panels[-1].legend(fontsize=7, loc="best")
     caption = "; ".join(sentences) + ". Dotted: holding still. Grey line: 10 mm." if sentences else ""
-    return _finished("error_distribution", "Position error over all frames", figure, _sentence(caption))
+    return finished("error_distribution", "Position error over all frames", figure, _sentence(caption))
 
 
 def plot_closed_loop_error(evaluation: Evaluation) -> Plot:
     """Position error along each trajectory of one evaluation, singular passages shaded (three at most)."""
     recording = evaluation.recording
     order = sorted(range(len(evaluation.traces)), key=lambda i: -len(evaluation.traces[i].position_mm))[:3]
-    figure = _figure(8.6, 1.0 + 1.35 * len(order))
+    figure = new_figure(8.6, 1.0 + 1.35 * len(order))
     panels = np.atleast_1d(figure.subplots(len(order), 1, sharex=True))
     outcomes = [
         returned_after(trace, passage, recording.set.fps)
@@ -104,14 +104,14 @@ def plot_closed_loop_error(evaluation: Evaluation) -> Plot:
             panel.axvspan(
                 passage.start / recording.set.fps, passage.stop / recording.set.fps, color=_SHADE, alpha=0.5
             )
-        panel.plot(seconds, np.maximum(trace.position_mm, 1e-3), color=_COLOURS[0], linewidth=0.7)
+        panel.plot(seconds, np.maximum(trace.position_mm, 1e-3), color=COLOURS[0], linewidth=0.7)
         panel.axhline(RETURNED_MM, color=_GREY, linewidth=0.8)
         panel.set(yscale="log", ylabel="error [mm]")
         panel.set_title(f"episode {trace.rollout.trajectory.index}", loc="left")
     panels[-1].set_xlabel("time [s]")
     row = evaluation.row
     caption = (
-        f"Position error of {row['solver']} in {_title(row['mode'])} on {row['dataset']}: every command is "
+        f"Position error of {row['solver']} in {mode_title(row['mode'])} on {row['dataset']}: every command is "
         f"the next measurement, so errors could pile up. Shaded: {len(outcomes)} passages close to a "
         f"singularity (smallest singular value below {SINGULAR_VALUE:g}); of {len(ended)} that end before "
         f"the recording does, {sum(ended)} are followed by an error under {RETURNED_MM:g} mm within "
@@ -119,7 +119,7 @@ def plot_closed_loop_error(evaluation: Evaluation) -> Plot:
         f"largest {_value(row['max_mm'], '.1f')} mm. Verdict: {row['verdict']}"
         + (f" ({row['reason']})." if row["reason"] else ".")
     )
-    return _finished("closed_loop_error", "Error along near-singular motion", figure, caption)
+    return finished("closed_loop_error", "Error along near-singular motion", figure, caption)
 
 
 def strongest_passage(recording: Recording) -> tuple[int, Passage] | None:
@@ -146,24 +146,24 @@ def plot_passage(evaluation: Evaluation, joint_names: Sequence[str], margin_s: f
     dof = recorded.shape[1]
     columns = 3
     joint_rows = -(-dof // columns)
-    figure = _figure(8.6, 1.7 * (joint_rows + 1))
+    figure = new_figure(8.6, 1.7 * (joint_rows + 1))
     grid = figure.add_gridspec(joint_rows + 1, columns)
     panels = [figure.add_subplot(grid[i // columns, i % columns]) for i in range(dof)]
     for i, panel in enumerate(panels):
         panel.plot(seconds, recorded[:, i], color=_GREY, linewidth=2.4, alpha=0.6, label="recorded")
-        panel.plot(seconds, commanded[:, i], color=_COLOURS[1], linewidth=1.1, label=evaluation.row["solver"])
+        panel.plot(seconds, commanded[:, i], color=COLOURS[1], linewidth=1.1, label=evaluation.row["solver"])
         panel.set_title(joint_names[i], loc="left")
     panels[0].set_ylabel("joint [rad]")
     panels[0].legend(fontsize=7)
     error = figure.add_subplot(grid[joint_rows, :])
-    error.plot(seconds, np.maximum(trace.position_mm[frames], 1e-3), color=_COLOURS[1], linewidth=1.1)
+    error.plot(seconds, np.maximum(trace.position_mm[frames], 1e-3), color=COLOURS[1], linewidth=1.1)
     error.axhline(RETURNED_MM, color=_GREY, linewidth=0.8)
     error.set(yscale="log", xlabel="time from the closest point [s]", ylabel="error [mm]")
     span = [(frame - passage.deepest) / fps for frame in (passage.start, passage.stop)]
     for panel in [*panels, error]:
         panel.axvspan(max(span[0], seconds[0]), min(span[1], seconds[-1]), color=_SHADE, alpha=0.4)
         panel.set_xlim(seconds[0], seconds[-1])
-    return _finished(
+    return finished(
         "singular_passage",
         "Joint motion through a singularity",
         figure,
@@ -182,19 +182,17 @@ def plot_training(curves: Mapping[str, Curve]) -> Plot | None:
     shown = [(name, title, log) for name, title, log in wanted if name in curves]
     if not shown:
         return None
-    figure = _figure(8.6, 4.4 if len(shown) > 2 else 2.6)
+    figure = new_figure(8.6, 4.4 if len(shown) > 2 else 2.6)
     panels = np.atleast_1d(figure.subplots(-(-len(shown) // 2), min(2, len(shown)))).ravel()
     for panel, (name, title, log) in zip(panels, shown, strict=False):
-        panel.plot(
-            curves[name].steps, curves[name].values, color=_COLOURS[0], linewidth=1.0, label="training"
-        )
+        panel.plot(curves[name].steps, curves[name].values, color=COLOURS[0], linewidth=1.0, label="training")
         if name == "loss" and "eval_loss" in curves:
             held_out = curves["eval_loss"]
             panel.plot(
                 held_out.steps,
                 held_out.values,
                 "o-",
-                color=_COLOURS[1],
+                color=COLOURS[1],
                 markersize=3,
                 label="held-out episodes",
             )
@@ -216,12 +214,12 @@ def plot_training(curves: Mapping[str, Curve]) -> Plot | None:
         else ""
     )
     caption = f"{steps} steps: {', '.join(changes)}{held_out_end}."
-    return _finished("training", "Training curves", figure, caption)
+    return finished("training", "Training curves", figure, caption)
 
 
 def plot_workspace(train: TrajectorySet, others: Sequence[TrajectorySet]) -> Plot:
     """Where the targets lie, from above and from the side, in the arm's base frame."""
-    figure = _figure(8.6, 3.8)
+    figure = new_figure(8.6, 3.8)
     panels = figure.subplots(1, 2)
     rng = np.random.default_rng(0)
     sets = [train, *others]
@@ -229,7 +227,7 @@ def plot_workspace(train: TrajectorySet, others: Sequence[TrajectorySet]) -> Plo
     for i, one in enumerate(sets):
         points = positions[one.name]
         points = points[rng.permutation(len(points))[:6000]]
-        style = {"s": 1.5, "linewidths": 0, "alpha": 0.35, "color": _GREY if i == 0 else _COLOURS[i - 1]}
+        style = {"s": 1.5, "linewidths": 0, "alpha": 0.35, "color": _GREY if i == 0 else COLOURS[i - 1]}
         panels[0].scatter(points[:, 0], points[:, 1], label=one.name, zorder=-i if i else 0, **style)
         panels[1].scatter(points[:, 0], points[:, 2], zorder=-i if i else 0, **style)
     panels[0].set(xlabel="x [m]", ylabel="y [m]", title="from above", aspect="equal")
@@ -246,7 +244,7 @@ def plot_workspace(train: TrajectorySet, others: Sequence[TrajectorySet]) -> Plo
             f"from targets of {one.name} the nearest training target is {np.median(distance):.1f} mm away in "
             f"the median and {np.percentile(distance, 95):.1f} mm at the 95th percentile"
         )
-    return _finished("workspace", "Workspace coverage", figure, _sentence("; ".join(sentences) + "."))
+    return finished("workspace", "Workspace coverage", figure, _sentence("; ".join(sentences) + "."))
 
 
 def _passage_caption(evaluation: Evaluation, trace: Trace, passage: Passage, frames: slice) -> str:
@@ -281,11 +279,13 @@ def _passage_caption(evaluation: Evaluation, trace: Trace, passage: Passage, fra
     )
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of this size, inches."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def _finished(name: str, title: str, figure: Figure, caption: str) -> Plot:
+def finished(name: str, title: str, figure: Figure, caption: str) -> Plot:
+    """The plot of a figure whose axes get the look of all others."""
     for axes in figure.axes:
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
@@ -296,7 +296,8 @@ def _unique(values) -> list[str]:
     return list(dict.fromkeys(values))
 
 
-def _title(mode: str) -> str:
+def mode_title(mode: str) -> str:
+    """A mode as text says it."""
     return _MODE_TITLES.get(mode, mode.replace("_", " "))
 
 

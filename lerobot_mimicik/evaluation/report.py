@@ -132,13 +132,21 @@ def write_report(
     return json_path, markdown_path
 
 
-def markdown_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as a Markdown table; a value that does not exist is shown as "-"."""
+def markdown_table(
+    rows: Sequence[Mapping[str, Any]], spreads: Sequence[Mapping[str, float]] | None = None
+) -> str:
+    """Rows as a Markdown table; a value that does not exist is shown as "-".
+
+    Args:
+        rows: As `cells` takes them.
+        spreads: For each row, standard deviations of some of its values.
+    """
     lines = [
         "| " + " | ".join(heading for _, heading, _ in _COLUMNS) + " |",
         "|" + "|".join("---" if form == "s" else "---:" for _, _, form in _COLUMNS) + "|",
     ]
-    lines += ["| " + " | ".join(cells(row)) + " |" for row in rows]
+    spreads = spreads or [{}] * len(rows)
+    lines += ["| " + " | ".join(cells(row, spread)) + " |" for row, spread in zip(rows, spreads, strict=True)]
     return "\n".join(lines) + "\n"
 
 
@@ -147,9 +155,13 @@ def headings() -> list[str]:
     return [heading for _, heading, _ in _COLUMNS]
 
 
-def cells(row: Mapping[str, Any]) -> list[str]:
-    """A row's cells as text, in the order of ``headings``."""
-    return [_format(row[key], form) for key, _, form in _COLUMNS]
+def cells(row: Mapping[str, Any], spread: Mapping[str, float] | None = None) -> list[str]:
+    """A row's cells as text, in the order of ``headings``; ``spread`` is added to the values it has."""
+    spread = spread or {}
+    return [
+        _format(row[key], form) + (f" ± {spread[key]:{form}}" if key in spread else "")
+        for key, _, form in _COLUMNS
+    ]
 
 
 def _format(value: Any, form: str) -> str:

@@ -15,7 +15,7 @@ from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import Array
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.configuration_mimicik import MimicIKConfig
+    from lerobot_mimicik.configuration_learned import LearnedIKConfig
 
 _STATE, _ACTION = "observation.state", "action"
 
@@ -86,7 +86,7 @@ class Layout:
     action_joint_names: Sequence[str] | None = None
 
     @classmethod
-    def of_policy(cls, config: MimicIKConfig) -> Layout:
+    def of_policy(cls, config: LearnedIKConfig) -> Layout:
         """What a policy was trained to expect."""
         return cls(
             joint_units=config.joint_units,

@@ -1,9 +1,9 @@
-"""A trained MimicIK policy as a solver."""
+"""A trained policy as a solver: MimicIK, or one of its learned baselines."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -11,15 +11,26 @@ from numpy.typing import NDArray
 
 from lerobot_mimicik.inference import TracedPolicy
 from lerobot_mimicik.kinematics.chain import SerialArm
-from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
+from lerobot_mimicik.solvers.base import Array, IKSolver, SolverFactory, register_solver
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+    from lerobot_mimicik.configuration_learned import LearnedIKConfig
+    from lerobot_mimicik.modeling_learned import LearnedIKPolicy
+
+# What tables call a checkpoint, by its policy's type.
+_KINDS = {"mimicik": "mimicik", "mimicik_mlp": "mlp", "mimicik_unet": "unet_diffusion"}
+LEARNED = ("mimicik", "mimicik_nofk", "mlp", "unet_diffusion")
+
+
+def kind_of(config: LearnedIKConfig) -> str:
+    """What tables call a checkpoint with this configuration, one of ``LEARNED``."""
+    kind = _KINDS[config.type]
+    return "mimicik_nofk" if kind == "mimicik" and config.fk_weight == 0 else kind
 
 
 @register_solver("mimicik")
 class MimicIKSolver(IKSolver):
-    """Asks a MimicIK policy, and keeps the few frames of history that it looks at.
+    """Asks a learned policy of any kind, and keeps the few frames of history that it looks at.
 
     The history lives here rather than in the policy so that rows of a batch may end at different times
     (``select``). Before the first step the history is the first frame repeated, as in training.
@@ -30,8 +41,8 @@ class MimicIKSolver(IKSolver):
     def __init__(
         self,
         arm: SerialArm,
-        policy: MimicIKPolicy | str,
-        name: str = "mimicik",
+        policy: LearnedIKPolicy | str,
+        name: str | None = None,
         device: str | None = None,
         chunk: int = 4096,
     ) -> None:
@@ -39,14 +50,14 @@ class MimicIKSolver(IKSolver):
         Args:
             arm: The arm of the recordings; must have as many joints as the policy's own.
             policy: A loaded policy, or a folder or Hub repository to load it from.
-            name: How tables call it.
+            name: How tables call it; None is the checkpoint's kind.
             device: Where the policy runs; None leaves a loaded policy where it is.
             chunk: Most queries answered in one forward pass by ``solve_recorded``.
 
         Raises:
             ValueError: If the policy drives another number of joints than ``arm`` has.
         """
-        self.policy: MimicIKPolicy = load_policy(policy, device) if isinstance(policy, str) else policy
+        self.policy: LearnedIKPolicy = load_policy(policy, device) if isinstance(policy, str) else policy
         if device is not None:
             self.policy = self.policy.to(device)
         own = self.policy.arm
@@ -56,7 +67,7 @@ class MimicIKSolver(IKSolver):
                 f"the recordings have {arm.dof}: {arm.joint_names}."
             )
         self.policy.eval()
-        self.name = name
+        self.name = name or kind_of(self.policy.config)
         self.steps = int(self.policy.config.n_obs_steps)
         self.chunk = chunk
         self._device = next(self.policy.parameters()).device
@@ -106,6 +117,21 @@ class MimicIKSolver(IKSolver):
         return command.double().cpu().numpy()
 
 
+def _solver_of(kind: str) -> SolverFactory:
+    def make(arm: SerialArm, policy: LearnedIKPolicy | str, **options: Any) -> MimicIKSolver:
+        solver = MimicIKSolver(arm, policy, **options)
+        found = kind_of(solver.policy.config)
+        if found != kind:
+            raise ValueError(f"The solver {kind} needs a checkpoint of that kind; this one is {found}.")
+        return solver
+
+    return make
+
+
+for _kind in LEARNED[1:]:
+    register_solver(_kind)(_solver_of(_kind))
+
+
 def find_checkpoint(path: str) -> str:
     """The folder of the weights, given it, a training run's checkpoint, or a run's output folder.
 
@@ -130,19 +156,30 @@ def find_checkpoint(path: str) -> str:
     return path
 
 
-def load_policy(path: str, device: str | None = None) -> MimicIKPolicy:
-    """Load a policy from ``find_checkpoint(path)``, onto a device if one is given.
+def load_policy(path: str, device: str | None = None) -> LearnedIKPolicy:
+    """Load a policy of any learned kind from ``find_checkpoint(path)``, onto a device if one is given.
 
     Raises:
         FileNotFoundError: If there is no checkpoint.
+        ValueError: If it is one of another policy.
     """
-    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+    from lerobot.configs import PreTrainedConfig
+    from lerobot.policies.factory import get_policy_class
 
-    policy = MimicIKPolicy.from_pretrained(find_checkpoint(path))
+    # LeRobot knows a policy's type once its configuration is imported.
+    import lerobot_mimicik.baselines.configuration_mlp
+    import lerobot_mimicik.baselines.configuration_unet
+    import lerobot_mimicik.configuration_mimicik  # noqa: F401
+
+    found = find_checkpoint(path)
+    config = PreTrainedConfig.from_pretrained(found)
+    if config.type not in _KINDS:
+        raise ValueError(
+            f"{path} is a checkpoint of type {config.type!r}; expected one of {', '.join(_KINDS)}."
+        )
     if device is not None:
-        policy.config.device = device
-        policy = policy.to(device)
-    return policy
+        config.device = device
+    return get_policy_class(config.type).from_pretrained(found, config=config)
 
 
 def _push(history: Array | None, frame: Array, steps: int) -> Array:
