@@ -18,6 +18,17 @@ def bare_switches(argv: Sequence[str], config_class: type) -> list[str]:
     return expanded
 
 
+def underscored(argv: Sequence[str]) -> list[str]:
+    """The command line with options written ``--like-this`` written ``--like_this``, as they are declared."""
+    arguments = []
+    for argument in argv:
+        name, equals, value = argument.partition("=")
+        arguments.append(
+            f"--{name[2:].replace('-', '_')}{equals}{value}" if name.startswith("--") else argument
+        )
+    return arguments
+
+
 def join_repeated(argv: Sequence[str], option: str) -> list[str]:
     """The command line with every occurrence of an option merged into one, values joined by commas."""
     rest: list[str] = []

@@ -1,0 +1,90 @@
+"""`mimicik benchmark-server`: what asking `mimicik serve` costs compared with asking the solver directly."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import draccus
+
+HELP = "Measure the latency that the IK server adds and the queries a second that it answers."
+
+
+@dataclass
+class BenchmarkServerConfig:
+    """Starts a server of its own on loopback, asks it and the solver in this process, and compares."""
+
+    # A solver that needs no options; the fastest shows the server's own cost.
+    solver: str = "hold"
+    robot: str = "airbot_play"
+    # Address of the server that is started; port 0 is a free one.
+    bind: str = "tcp://127.0.0.1:0"
+    # Turns of 500 single queries each, for the latency.
+    rounds: int = 10
+    # How long the rate is measured, in s, each time.
+    seconds: float = 4.0
+    # Processes that ask at the same time, for the rate.
+    clients: int = 2
+    # Requests that each has under way.
+    window: int = 32
+
+
+def main(argv: Sequence[str]) -> int:
+    """Parse the command line, measure and print."""
+    config = draccus.parse(BenchmarkServerConfig, args=argv, prog="mimicik benchmark-server")
+    import torch
+
+    from lerobot_mimicik.kinematics.arms import describe_arm
+    from lerobot_mimicik.kinematics.chain import SerialArm
+    from lerobot_mimicik.serving.benchmark import compare_latency, local_rate, remote_rate
+    from lerobot_mimicik.serving.client import IKClient
+    from lerobot_mimicik.solvers import make_solver
+
+    arm = SerialArm(describe_arm(config.robot), dtype=torch.float64)
+    solver = make_solver(config.solver, arm)
+    q = (0.5 * (arm.lower + arm.upper)).clamp(-1.0, 1.0).numpy()
+    target = arm.forward(torch.from_numpy(q)).numpy()
+    with _server(config) as address:
+        with IKClient(address, config.solver, arm.joint_names, timeout_s=20.0) as client:
+            latency = compare_latency(solver, client, q, target, config.rounds)
+        here = local_rate(solver, q, target, config.seconds)
+        one = remote_rate(address, config.solver, q, target, config.seconds, clients=1, window=1)
+        many = remote_rate(address, config.solver, q, target, config.seconds, config.clients, config.window)
+    ratio, load = latency.remote_ms / latency.local_ms, os.getloadavg()[0]
+    print(f"solver {config.solver}, {os.cpu_count()} CPUs, load {load:.1f}, {address}")
+    print("single queries, one at a time                    p50 ms     p99 ms")
+    print(f"  in this process                            {latency.local_ms:10.4f}")
+    print(
+        f"  from the server                            {latency.remote_ms:10.4f} {latency.remote_p99_ms:10.4f}"
+    )
+    print(f"  added by the server                        {latency.remote_ms - latency.local_ms:10.4f}")
+    print(f"  added in the calmest of the turns          {latency.calmest_ms - latency.local_ms:10.4f}")
+    print(f"  ratio, server to this process              {ratio:10.1f}")
+    print("single queries a second                        number      ratio")
+    print(f"  in this process                            {here:10,.0f} {1:10.3f}")
+    print(f"  one client, waiting for every answer       {one:10,.0f} {one / here:10.3f}")
+    label = f"{config.clients} clients with {config.window} under way"
+    print(f"  {label:<42} {many:10,.0f} {many / here:10.3f}")
+    return 0
+
+
+@contextmanager
+def _server(config: BenchmarkServerConfig) -> Iterator[str]:
+    """The real command in a process of its own; yields its address."""
+    command = [sys.executable, "-m", "lerobot_mimicik.cli.main", "serve", f"--solvers={config.solver}"]
+    command += [f"--robot={config.robot}", f"--bind={config.bind}", "--rate=0", "--threads=1"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            line = process.stdout.readline()
+            if not line.startswith("Serving on "):
+                raise RuntimeError("The server did not start; what it said is above.")
+            yield line.removeprefix("Serving on ").partition(";")[0]
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=60)

@@ -1,0 +1,133 @@
+"""`mimicik serve`: answers for solvers over ZeroMQ, so that a robot or a benchmark elsewhere may ask them."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING
+
+import draccus
+
+from lerobot_mimicik.cli.eval import PolicySource
+from lerobot_mimicik.cli.options import underscored, words
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.kinematics.chain import SerialArm
+    from lerobot_mimicik.serving.server import IKServer
+    from lerobot_mimicik.solvers import IKSolver
+
+HELP = "Answer IK questions of other processes and computers, for any solver, over ZeroMQ."
+
+
+@dataclass
+class ServeConfig:
+    """Options of `mimicik serve`."""
+
+    policy: PolicySource = field(default_factory=PolicySource)
+    # Solvers to answer for; empty: hold, and mimicik where there is a checkpoint.
+    solvers: str = ""
+    # A shipped arm, or the path of a URDF; empty: the checkpoint's, else airbot_play.
+    robot: str = ""
+    # tcp://HOST:PORT (port 0: a free one) or ipc://PATH. Other than 127.0.0.1 needs keys.
+    bind: str = "tcp://127.0.0.1:5555"
+    # Where the policy runs (cpu, cuda, mps); empty: as its configuration says.
+    device: str = ""
+    # Threads that torch uses; 0 leaves it to torch.
+    threads: int = 0
+    # This server's secret key file (NAME.key_secret).
+    secret_key: str = ""
+    # Folder of the public keys (*.key) of the clients that may connect.
+    allowed_keys: str = ""
+    # Write a new key pair into this folder and end.
+    make_keys: str = ""
+    # Name of that key pair's files.
+    key_name: str = "server"
+    # Longest request, in bytes.
+    max_bytes: int = 1 << 20
+    # Most rows of a batch, or frames of a recording, in one request.
+    max_rows: int = 4096
+    # Most sessions; to open one more, that idle for longest is dropped.
+    max_sessions: int = 64
+    # Requests a second that one client may send in the long run, and at once; 0: any number.
+    rate: float = 20_000.0
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command."""
+    config = draccus.parse(ServeConfig, args=underscored(argv), prog="mimicik serve")
+    try:
+        from lerobot_mimicik.serving.security import make_keys
+    except ModuleNotFoundError as error:
+        raise RuntimeError(
+            f"{error.name} is not installed: pip install 'lerobot_policy_mimicik[serve]'."
+        ) from error
+
+    if config.make_keys:
+        public, secret = make_keys(config.make_keys, config.key_name)
+        print(f"{public} may be given to anybody; {secret} stays here.")
+        return 0
+    with make_server(config) as server:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: server.stop())
+        print(f"Serving on {server.address}; Ctrl-C stops.", flush=True)
+        server.serve()
+        print(f"Stopped: {server.answered} requests answered, {server.refused} refused.", flush=True)
+    return 0
+
+
+def make_server(config: ServeConfig) -> IKServer:
+    """Load what the options name and begin to listen.
+
+    Raises:
+        ValueError: If an option does not fit; the message names it and what exists.
+        OSError: If a file is missing or the address cannot be had.
+    """
+    import torch
+
+    from lerobot_mimicik.serving.limits import Limits
+    from lerobot_mimicik.serving.security import ServerKeys
+    from lerobot_mimicik.serving.server import IKServer
+
+    if bool(config.secret_key) != bool(config.allowed_keys):
+        raise ValueError("--secret_key and --allowed_keys belong together; --make_keys=DIR makes a key pair.")
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    arm, factories = _solvers(config)
+    limits = Limits(
+        config.max_bytes, config.max_rows, config.max_sessions, config.rate, max(config.rate, 1.0)
+    )
+    keys = ServerKeys(config.secret_key, config.allowed_keys) if config.secret_key else None
+    return IKServer(factories, arm.joint_names, config.bind, limits, keys)
+
+
+def _solvers(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], IKSolver]]]:
+    import torch
+
+    from lerobot_mimicik.kinematics.arms import describe_arm
+    from lerobot_mimicik.kinematics.chain import SerialArm
+    from lerobot_mimicik.solvers import known_solvers, make_solver
+    from lerobot_mimicik.solvers.mimicik import load_policy
+
+    known = [name for name in known_solvers() if name != "remote"]
+    names = words(config.solvers) or (["hold", "mimicik"] if config.policy.path else ["hold"])
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise ValueError(f"--solvers: unknown {', '.join(unknown)}; known are {', '.join(known)}.")
+    if "mimicik" in names and not config.policy.path:
+        raise ValueError("--solvers names mimicik, but --policy.path is missing: which checkpoint?")
+    options: dict[str, dict[str, object]] = {}
+    description = describe_arm(config.robot or "airbot_play")
+    if "mimicik" in names:
+        policy = load_policy(config.policy.path, config.device or None)
+        options["mimicik"] = {"policy": policy}
+        own = policy.config.arm_description()
+        if config.robot and own.joint_names != description.joint_names:
+            raise ValueError(
+                f"--robot={config.robot} has joints {', '.join(description.joint_names)}, "
+                f"the policy drives {', '.join(own.joint_names)}."
+            )
+        description = description if config.robot else own
+    arm = SerialArm(description, dtype=torch.float64)
+    return arm, {name: partial(make_solver, name, arm, **options.get(name, {})) for name in names}

@@ -1,0 +1,1 @@
+"""Solvers over a network: a server that answers for registered solvers, and a client that is one."""

@@ -1,0 +1,272 @@
+"""The IK server: one ROUTER socket, one thread, a solver for every session."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import zmq
+from zmq.auth.thread import ThreadAuthenticator
+
+from lerobot_mimicik.serving import protocol
+from lerobot_mimicik.serving.limits import Limits, RateLimiter
+from lerobot_mimicik.serving.protocol import (
+    BadRequestError,
+    RateExceededError,
+    ServingError,
+    SolverFailedError,
+)
+from lerobot_mimicik.serving.security import ZAP_DOMAIN, ServerKeys, check_allowed, is_local, secure_server
+from lerobot_mimicik.serving.sessions import Session, SessionTable
+from lerobot_mimicik.solvers.base import Array, IKSolver
+
+_log = logging.getLogger(__name__)
+
+# How long `serve` may take to notice `stop`, in ms.
+_STOP_MS = 100
+# Requests that ZeroMQ keeps for one client before its connection is told to wait.
+_QUEUE = 256
+_HEARTBEAT_MS = 10_000
+
+
+class IKServer:
+    """Answers requests of the protocol until it is stopped.
+
+    Bound to anything but loopback or ipc it demands keys. A request that cannot be answered is answered
+    with an error, and the server goes on. ``serve`` runs in one thread, any one; ``stop`` may be called from
+    others and from signal handlers.
+
+    Clients are told apart by their key where there are keys, else by their connection.
+
+    Attributes:
+        address: Where it listens, with the port that was chosen if the given one was 0 or ``*``.
+        answered, refused: Number of requests so far that got an answer, and an error.
+    """
+
+    def __init__(
+        self,
+        factories: Mapping[str, Callable[[], IKSolver]],
+        joint_names: Sequence[str],
+        bind: str = "tcp://127.0.0.1:5555",
+        limits: Limits | None = None,
+        keys: ServerKeys | None = None,
+    ) -> None:
+        """Build the solvers and begin to listen; questions are answered by ``serve``.
+
+        Args:
+            factories: What builds a solver, by the name that clients ask for.
+            joint_names: Joints of the arm, in the order of its joint vector.
+            bind: ``tcp://HOST:PORT`` or ``ipc://PATH``.
+            limits: How much a client may use; None: the defaults.
+            keys: Own key and allowed clients; None: no encryption, for local addresses only.
+
+        Raises:
+            ValueError: If there is no solver, or ``bind`` can be reached from outside and there are no keys.
+            OSError: If the address cannot be had, or a key file is missing.
+        """
+        if not factories:
+            raise ValueError("A server needs at least one solver.")
+        if not is_local(bind) and keys is None:
+            raise ValueError(
+                f"{bind} can be reached from other computers, so the server must have keys: its own secret key "
+                "and a folder of the public keys of allowed clients. Without keys it serves "
+                "tcp://127.0.0.1:PORT or ipc://PATH only."
+            )
+        self.limits = limits or Limits()
+        self.answered = self.refused = 0
+        self._dof = len(joint_names)
+        self._sessions = SessionTable(factories, self.limits.max_sessions)
+        self._rates = RateLimiter(self.limits.rate, self.limits.burst)
+        self._info = {
+            "joint_names": list(joint_names),
+            "solvers": self._sessions.batched,
+            "max_bytes": self.limits.max_bytes,
+            "max_rows": self.limits.max_rows,
+        }
+        self._methods: dict[str, tuple[int, Callable[..., Any]]] = {
+            "info": (0, lambda session: self._info),
+            "reset": (2, self._reset),
+            "solve": (2, self._solve),
+            "solve_recorded": (2, self._solve_recorded),
+            "select": (1, self._select),
+            "close": (0, self._sessions.close),
+        }
+        self._stopping = threading.Event()
+        self._keyed = keys is not None
+        # A context of its own: who may connect is decided once for a context.
+        self._context = zmq.Context()
+        self._authenticator: ThreadAuthenticator | None = None
+        self._socket = self._context.socket(zmq.ROUTER)
+        try:
+            self._listen(bind, keys)
+        except BaseException:
+            self.close()
+            raise
+        self.address = str(bytes(self._socket.getsockopt(zmq.LAST_ENDPOINT)), "utf-8").rstrip("\0")
+
+    def _listen(self, bind: str, keys: ServerKeys | None) -> None:
+        socket = self._socket
+        socket.linger = 0
+        socket.rcvtimeo = _STOP_MS
+        socket.rcvhwm = socket.sndhwm = _QUEUE
+        socket.maxmsgsize = 2 * self.limits.max_bytes
+        socket.heartbeat_ivl = _HEARTBEAT_MS
+        socket.ipv6 = "[" in bind
+        if keys is not None:
+            check_allowed(keys.allowed_keys)
+            secure_server(socket, keys)
+            self._authenticator = ThreadAuthenticator(self._context)
+            self._authenticator.start()
+            self._authenticator.configure_curve(ZAP_DOMAIN, keys.allowed_keys)
+        try:
+            socket.bind(bind)
+        except zmq.ZMQError as error:
+            raise OSError(f"Cannot listen on {bind}: {error}.") from error
+
+    def serve(self) -> None:
+        """Answer until ``stop`` is called, from wherever; returns at once if it was called before."""
+        while not self._stopping.is_set():
+            try:
+                client, frames = self._receive()
+            except zmq.Again:
+                continue
+            # Without a free place in the client's queue the reply is lost, as is a client that reads none.
+            self._socket.send_multipart([frames[0], self._reply(client, frames)])
+
+    def stop(self) -> None:
+        """Make ``serve`` return within a tenth of a second, or after the question that it is at."""
+        self._stopping.set()
+
+    def close(self) -> None:
+        """Stop listening and free everything, after ``serve`` has returned; a second call does nothing."""
+        self._stopping.set()
+        self._socket.close(0)
+        if self._authenticator is not None:
+            self._authenticator.stop()
+            self._authenticator = None
+        self._context.term()
+
+    def __enter__(self) -> IKServer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _receive(self) -> tuple[bytes | str, list[bytes]]:
+        """Who sent the next message, and its frames; the first is where the reply goes."""
+        if not self._keyed:
+            frames = self._socket.recv_multipart()
+            return frames[0], frames
+        keyed_frames = self._socket.recv_multipart(copy=False)
+        # The authenticator calls a client by its public key.
+        return str(keyed_frames[-1].get("User-Id")), [frame.bytes for frame in keyed_frames]
+
+    def _reply(self, client: bytes | str, frames: list[bytes]) -> bytes:
+        """What to send for one message, whatever it is."""
+        message = frames[-1]
+        number = message[: protocol.ID_BYTES].ljust(protocol.ID_BYTES, b"\0")
+        try:
+            if not self._rates.allows(client, time.monotonic()):
+                raise RateExceededError(f"More than {self.limits.rate:g} requests a second; ask more slowly.")
+            if len(frames) != 2:
+                raise BadRequestError(f"Expected a message of one frame, got {len(frames) - 1}.")
+            if len(message) > self.limits.max_bytes:
+                raise BadRequestError(
+                    f"The request has {len(message)} bytes, the server takes {self.limits.max_bytes}."
+                )
+            method, session, arguments = protocol.unpack_request(message)
+            reply = protocol.pack_reply(number, self._answer(method, session, arguments))
+        except ServingError as error:
+            self.refused += 1
+            return protocol.pack_error(number, error)
+        self.answered += 1
+        return reply
+
+    def _answer(self, method: str, session: bytes, arguments: list[Any]) -> Any:
+        count, answer = self._methods.get(method, (0, None))
+        if answer is None:
+            raise BadRequestError(f"Unknown method {method!r}; known are {', '.join(self._methods)}.")
+        if len(arguments) != count:
+            raise BadRequestError(f"{method} takes {count} arguments, got {len(arguments)}.")
+        return answer(session, *arguments)
+
+    def _reset(self, token: bytes, solver: Any, q: Any) -> bytes:
+        if type(solver) is not str:
+            raise BadRequestError(f"Expected the name of a solver, got {type(solver).__name__}.")
+        start = self._numbers(q, "q", self._dof)
+        session = self._sessions.open(token, solver)
+        self._check_rows(session, start)
+        self._ask(session, "reset", start)
+        return session.token
+
+    def _solve(self, token: bytes, q: Any, target: Any) -> list[Any]:
+        session = self._sessions.get(token)
+        q_curr, pose = self._question(q, target)
+        if q_curr.ndim == 2 and not session.solver.batched:
+            raise BadRequestError(
+                f"{session.solver_name} takes single configurations, got {len(q_curr)} rows."
+            )
+        return protocol.encode_array(self._ask(session, "solve", q_curr, pose))
+
+    def _solve_recorded(self, token: bytes, q: Any, target: Any) -> list[Any]:
+        session = self._sessions.get(token)
+        q_curr, pose = self._question(q, target)
+        if q_curr.ndim != 2:
+            raise BadRequestError(f"A recording is (T, {self._dof}) joints, got one configuration.")
+        return protocol.encode_array(self._ask(session, "solve_recorded", q_curr, pose))
+
+    def _select(self, token: bytes, rows: Any) -> None:
+        session = self._sessions.get(token)
+        chosen = protocol.decode_array(rows, "rows", protocol.INDEX)
+        if chosen.ndim != 1 or len(chosen) > self.limits.max_rows or (chosen < 0).any():
+            raise BadRequestError(
+                f"rows: expected up to {self.limits.max_rows} row numbers from 0, got shape {chosen.shape}."
+            )
+        self._ask(session, "select", chosen.astype(np.intp))
+
+    def _ask(self, session: Session, method: str, *arguments: Any) -> Any:
+        try:
+            return getattr(session.solver, method)(*arguments)
+        # A solver may raise anything; it is one client's trouble, not the server's.
+        except Exception as error:
+            _log.warning("%s.%s failed", session.solver_name, method, exc_info=True)
+            raise SolverFailedError(
+                f"{session.solver_name}.{method}: {type(error).__name__}: {error}"
+            ) from error
+
+    def _check_rows(self, session: Session, q: Array) -> None:
+        if q.ndim == 2 and not session.solver.batched:
+            raise BadRequestError(
+                f"{session.solver_name} takes one configuration (dof,), got shape {q.shape}."
+            )
+
+    def _question(self, q: Any, target: Any) -> tuple[Array, Array]:
+        """Joints and poses of a question, of one shape but for the last axis."""
+        q_curr = self._numbers(q, "q", self._dof)
+        pose = self._numbers(target, "target", 7)
+        if q_curr.shape[:-1] != pose.shape[:-1]:
+            raise BadRequestError(
+                f"q has shape {q_curr.shape}, target has {pose.shape}: expected as many rows."
+            )
+        if not (pose[3:].any() if pose.ndim == 1 else pose[:, 3:].any(axis=1).all()):
+            raise BadRequestError("target: a quaternion is zero, which is no rotation.")
+        return q_curr, pose
+
+    def _numbers(self, item: Any, name: str, width: int) -> Array:
+        """A finite (width,) or (rows, width) array."""
+        array = protocol.decode_array(item, name)
+        if not array.ndim or array.shape[-1] != width or not 0 < array.size <= width * self.limits.max_rows:
+            raise BadRequestError(
+                f"{name}: expected shape ({width},) or (rows, {width}) with 1 to {self.limits.max_rows} rows, "
+                f"got {array.shape}."
+            )
+        if not np.isfinite(array).all():
+            raise BadRequestError(f"{name}: holds numbers that are not finite.")
+        return array

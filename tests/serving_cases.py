@@ -1,0 +1,81 @@
+"""What the tests of the serving package share: a server in a thread, and solvers that remember and fail."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+from evaluation_cases import airbot
+
+from lerobot_mimicik.serving.server import IKServer
+from lerobot_mimicik.solvers import IKSolver, make_solver
+
+HOME = np.array([0.1, -0.4, 0.6, 0.2, 0.3, -0.1])
+POSE = np.array([0.3, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0])
+
+
+class Counting(IKSolver):
+    """Answers the joints plus the number of questions since ``reset``, so that its history shows."""
+
+    name = "counting"
+    batched = True
+
+    def reset(self, q):
+        self.seen = np.zeros(len(np.atleast_2d(q)))
+
+    def solve(self, q_curr, target_pose):
+        self.seen = self.seen + 1
+        return q_curr + (self.seen[:, None] if q_curr.ndim == 2 else self.seen)
+
+    def select(self, rows):
+        self.seen = self.seen[rows]
+
+
+class Single(Counting):
+    """The same for one configuration at a time."""
+
+    batched = False
+
+
+class Failing(Single):
+    """Can do nothing."""
+
+    def solve(self, q_curr, target_pose):
+        raise ZeroDivisionError("no way there")
+
+
+class Waiting(Single):
+    """Answers only once ``gate`` is open."""
+
+    gate = threading.Event()
+
+    def solve(self, q_curr, target_pose):
+        self.gate.wait(30)
+        return super().solve(q_curr, target_pose)
+
+
+FACTORIES = {
+    "hold": partial(make_solver, "hold", airbot()),
+    "counting": Counting,
+    "single": Single,
+    "failing": Failing,
+    "waiting": Waiting,
+}
+
+
+@contextmanager
+def serving(factories=FACTORIES, **options) -> Iterator[IKServer]:
+    """A server on a free port of loopback, answering in a thread of its own."""
+    options = {"bind": "tcp://127.0.0.1:0"} | options
+    with IKServer(factories, airbot().joint_names, **options) as server:
+        thread = threading.Thread(target=server.serve)
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.stop()
+            thread.join(30)
+            assert not thread.is_alive()

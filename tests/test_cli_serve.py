@@ -1,0 +1,91 @@
+"""`mimicik serve` as a process: started, asked and stopped; `mimicik benchmark-server` on a small scale."""
+
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from evaluation_cases import airbot, trajectory
+
+from lerobot_mimicik.cli.main import main
+from lerobot_mimicik.cli.options import underscored
+from lerobot_mimicik.solvers import make_solver
+
+
+@contextmanager
+def command(*options):
+    """The running command and the address that it says it serves; killed if the test leaves it running."""
+    line = [sys.executable, "-m", "lerobot_mimicik.cli.main", "serve", "--bind=tcp://127.0.0.1:0", *options]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            shown = process.stdout.readline()
+            assert shown.startswith("Serving on "), process.communicate(timeout=60)
+            yield process, shown.split()[2].rstrip(";")
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_answers_until_a_signal_stops_it_cleanly(number):
+    one = trajectory(5)
+    with command("--solvers=hold", "--robot=airbot_play") as (process, address):
+        remote = make_solver("remote", airbot(), address=address, solver="hold", timeout_s=30.0)
+        with remote:
+            np.testing.assert_array_equal(remote.solve_recorded(one.q, one.target), one.q)
+        process.send_signal(number)
+        shown, errors = process.communicate(timeout=60)
+        assert process.returncode == 0
+        assert "requests answered, 0 refused" in shown
+        assert errors == ""
+
+
+def test_keys_are_made_and_serve_a_client_that_has_its_own(tmp_path, capsys):
+    for name in ("server", "robot"):
+        assert main(["serve", f"--make-keys={tmp_path / name}", f"--key-name={name}"]) == 0
+    assert "robot.key may be given to anybody" in capsys.readouterr().out
+    assert main(["serve", f"--make-keys={tmp_path / 'robot'}", "--key-name=robot"]) == 1
+    (tmp_path / "robot" / "not_for_the_server.key_secret").write_text("")
+    keys = {
+        "secret_key": str(tmp_path / "robot" / "robot.key_secret"),
+        "server_key": str(tmp_path / "server" / "server.key"),
+    }
+    options = [f"--secret-key={tmp_path}/server/server.key_secret", f"--allowed-keys={tmp_path}/robot"]
+    with command(*options) as (_, address):
+        options = {"address": address, "solver": "hold", "timeout_s": 30.0} | keys
+        with make_solver("remote", airbot(), **options) as remote:
+            remote.reset(np.zeros(6))
+        with pytest.raises(TimeoutError, match="does the server want keys"):
+            make_solver("remote", airbot(), address=address, solver="hold", timeout_s=0.5)
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("--solvers=hold,magic", "unknown magic; known are hold"),
+        ("--solvers=remote", "unknown remote"),
+        ("--solvers=mimicik", "--policy.path is missing"),
+        ("--bind=tcp://0.0.0.0:5555", "must have keys"),
+        ("--bind=5555", "tcp://HOST:PORT"),
+        ("--secret_key=x", "--allowed_keys belong together"),
+        ("--robot=nowhere", "nowhere"),
+        ("--max_rows=0", "max_rows must be at least 1"),
+    ],
+)
+def test_wrong_options_are_refused_with_what_would_do(option, message, capsys):
+    assert main(["serve", "--bind=tcp://127.0.0.1:0", option]) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_dashes_in_option_names_are_as_good_as_underscores():
+    argv = ["--make-keys=a-b", "--policy.path", "c-d", "--x"]
+    assert underscored(argv) == ["--make_keys=a-b", "--policy.path", "c-d", "--x"]
+
+
+def test_the_benchmark_prints_both_figures_as_ratios(capsys):
+    options = ["--rounds=1", "--seconds=0.2", "--clients=1", "--window=8"]
+    assert main(["benchmark-server", *options]) == 0
+    shown = capsys.readouterr().out
+    assert "ratio, server to this process" in shown
+    assert "1 clients with 8 under way" in shown
