@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.availability import from_extra
@@ -97,11 +98,14 @@ class PlacoSolver(IterativeSolver):
             self._robot.set_joint_limits(name, low, high)
             self._robot.set_joint(name, value)
         self._robot.update_kinematics()
-        self._task.T_world_frame = pose_matrix(target_pose)
+        self._target = pose_matrix(target_pose)
+        self._task.T_world_frame = self._target
 
     def _error(self) -> float:
-        position, orientation = self._task.position().error_norm(), self._task.orientation().error_norm()
-        return float(np.hypot(position, orientation))
+        # The task's own error_norm() is that of the last solve, not of the joints of now.
+        difference = np.linalg.inv(self._robot.get_T_world_frame(TOOL)) @ self._target
+        angle = Rotation.from_matrix(difference[:3, :3]).magnitude()
+        return float(np.hypot(np.linalg.norm(difference[:3, 3]), angle))
 
     def _improve(self) -> None:
         self._solver.solve(True)
