@@ -237,3 +237,23 @@ def test_ssik_refuses_an_arm_that_it_cannot_solve():
     short = describe_arm(text, base_link="base_link", tip_link="link5")
     with pytest.raises(ValueError, match="six or seven revolute joints; this one has 5"):
         make_solver("ssik", SerialArm(short, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("name", ["mink", "pink", "pinocchio", "placo", "ssik"])
+def test_a_straight_line_past_the_singular_wrist_is_followed_without_a_jump(name):
+    needs(name)
+    arm = an_arm()
+    home = np.array(arm.description.home)
+    start, end = home + [0, 0, 0, 0.15, 1.25, 0], home + [0, 0, 0, -0.1, 0.55, 0]
+    first, last = fk(arm, start), fk(arm, end)
+    share = np.linspace(0, 1, 60)
+    line = first + share[:, None] * (last - first)
+    line[:, 3:] /= np.linalg.norm(line[:, 3:], axis=1, keepdims=True)
+    solver, q, errors = make_solver(name, arm), start, []
+    for target in line:
+        command = solver.solve(q, target)
+        assert np.abs(command - q).max() <= MAX_STEP + 1e-9
+        q = command
+        errors.append(reached(arm, q, target)[0])
+    assert max(errors) < 0.02
+    assert errors[-1] < EXACT[0]

@@ -1,11 +1,12 @@
 """Pink: a quadratic program per iteration, over Pinocchio.
 
-Configured as the library's UR5 arm example (one ``FrameTask``, position and orientation cost 1): QPs by
-DAQP, one of the solvers that its documentation suggests. Different from it: several iterations per query
-with the measured joints as start and no time in them (dt = 1: each solves for the whole displacement), the
-box of the control step in place of ``ConfigurationLimit``'s range with gain 1 (its default of 0.5 goes half
-way to a limit at most) and of ``VelocityLimit``, and no ``PostureTask``: six joints have nothing to spare for
-one, it would only pull them off the target. Levenberg-Marquardt damping 1e-3 per squared error.
+Configured as the library's UR5 arm example (examples/arm_ur5.py: one ``FrameTask``, position and
+orientation cost 1), except for what a single query asks for where the example follows a target over many
+frames: up to 20 iterations from the measured joints, each solving for the whole displacement (dt = 1);
+Levenberg-Marquardt damping 1e-3 per squared error instead of 1, which would leave an error behind; the box
+of the control step as the range of ``ConfigurationLimit``, with gain 1 (its default of 0.5 goes half way to a
+limit at most), in place of ``VelocityLimit``; no ``PostureTask``, which would only pull a six-joint arm off
+its target; DAQP as the QP solver, where the example takes whatever is installed.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ robot was updated last, so that FK of the measured joints comes first, as in LeR
 end effector. Joints go through degrees, as there.
 
 ``placo`` follows the library's guide "Getting started" (floating base masked, a soft ``FrameTask`` with
-weights 1 and 1, joint limits on) with its "Regularization" page's term, here 1e-6, small enough to leave
-the answer alone; several iterations from the measured joints, each after ``update_kinematics``, and the box of
+weights 1 and 1, joint limits on) with a regularization task at its
+default of 1e-6, small enough to leave the answer alone; several iterations from the measured joints, each after ``update_kinematics``, and the box of
 the control step as joint limits.
 """
 
