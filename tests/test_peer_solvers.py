@@ -244,7 +244,8 @@ def test_a_straight_line_past_the_singular_wrist_is_followed_without_a_jump(name
     needs(name)
     arm = an_arm()
     home = np.array(arm.description.home)
-    start, end = home + [0, 0, 0, 0.15, 1.25, 0], home + [0, 0, 0, -0.1, 0.55, 0]
+    start = home + np.array([0, 0, 0, 0.15, 1.25, 0])
+    end = home + np.array([0, 0, 0, -0.1, 0.55, 0])
     first, last = fk(arm, start), fk(arm, end)
     share = np.linspace(0, 1, 60)
     line = first + share[:, None] * (last - first)

@@ -5,9 +5,8 @@ seeds, CUDA graph, no collisions), with the measured joints as one of the seeds 
 to stay near, and thresholds of 0.1 mm and 0.001 rad. The answer is the solution it ranks first, approached by at
 most ``max_step`` along the straight line in joint space; where it reports no success the arm is held.
 
-NVIDIA's instructions build it against the installed torch. This
-was written from its documentation and has not been run against the library yet: the tests of all peers do so
-once it is installed.
+NVIDIA's instructions build it against the installed torch. This was written from its documentation and has
+not been run against the library yet: the tests of all peers do so once it is installed.
 """
 
 from __future__ import annotations

@@ -5,10 +5,10 @@ weight 0.01 beside position weight 1, joint limits kept, no bound on the step. T
 robot was updated last, so that FK of the measured joints comes first, as in LeRobot's pipelines that observe the
 end effector. Joints go through degrees, as there.
 
-``placo`` follows the library's guide "Getting started" (floating base masked, a soft ``FrameTask`` with
-weights 1 and 1, joint limits on) with a regularization task at its
-default of 1e-6, small enough to leave the answer alone; several iterations from the measured joints, each after ``update_kinematics``, and the box of
-the control step as joint limits.
+``placo`` follows the library's guide "Getting started" (floating base masked, a soft ``FrameTask`` with weights
+1 and 1, joint limits on) with a regularization task at its default of 1e-6, small enough to leave the answer
+alone; several iterations from the measured joints, each after ``update_kinematics``, and the box of the control
+step as joint limits.
 """
 
 from __future__ import annotations
