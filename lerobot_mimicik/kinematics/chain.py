@@ -139,11 +139,11 @@ def _build_chain(
     root = frame = pk.Frame("base", link=pk.Link("base"), joint=pk.Joint("base_fixed", dtype=torch.float64))
     offset = torch.eye(4, dtype=torch.float64)
     for joint in path:
-        offset = offset @ _transform((*joint.origin_xyz, *joint.origin_rpy))
+        offset = offset @ fixed_transform((*joint.origin_xyz, *joint.origin_rpy))
         if joint.movable:
             frame = _append(frame, joint.name, offset, joint)
             offset = torch.eye(4, dtype=torch.float64)
-    _append(frame, _TOOL, offset @ _transform(tool_offset), None)
+    _append(frame, _TOOL, offset @ fixed_transform(tool_offset), None)
     chain = pk.Chain(root, dtype=torch.float64)
     return pk.SerialChain(chain, _TOOL, dtype=torch.float64).to(dtype=dtype, device=device)
 
@@ -164,7 +164,7 @@ def _append(parent: pk.Frame, name: str, offset: Tensor, joint: Joint | None) ->
     return frame
 
 
-def _transform(xyz_rpy: tuple[float, ...]) -> Tensor:
+def fixed_transform(xyz_rpy: tuple[float, ...]) -> Tensor:
     """Homogeneous transform of (), xyz or xyz + rpy, in float64."""
     x, y, z, roll, pitch, yaw = (*xyz_rpy, *(0.0,) * (6 - len(xyz_rpy)))
     transform = torch.eye(4, dtype=torch.float64)

@@ -1,9 +1,45 @@
 """Inverse-kinematics solvers behind one interface: ``make_solver(name, arm, **options)``.
 
-A new solver is a module here that subclasses ``IKSolver`` and registers itself, and a line below.
+A new solver is a module here that subclasses ``IKSolver`` and registers itself, and a line below. Peers that
+live in packages of their own import them when they are made: ``available_solvers()`` says which are here.
 """
 
-from lerobot_mimicik.solvers import hold, mimicik, remote
-from lerobot_mimicik.solvers.base import IKSolver, known_solvers, make_solver, register_solver
+from lerobot_mimicik.solvers import (
+    curobo,
+    hold,
+    mimicik,
+    mink,
+    pink,
+    pinocchio,
+    placo,
+    pybullet,
+    remote,
+    ssik,
+)
+from lerobot_mimicik.solvers.availability import SolverUnavailable
+from lerobot_mimicik.solvers.base import (
+    IKSolver,
+    available_solvers,
+    known_solvers,
+    make_solver,
+    register_solver,
+)
 
-__all__ = ["IKSolver", "hold", "known_solvers", "make_solver", "mimicik", "register_solver", "remote"]
+__all__ = [
+    "IKSolver",
+    "SolverUnavailable",
+    "available_solvers",
+    "curobo",
+    "hold",
+    "known_solvers",
+    "make_solver",
+    "mimicik",
+    "mink",
+    "pink",
+    "pinocchio",
+    "placo",
+    "pybullet",
+    "register_solver",
+    "remote",
+    "ssik",
+]

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_mimicik.solvers.availability import Package, SolverUnavailable
+
 if TYPE_CHECKING:
     from lerobot_mimicik.kinematics.chain import SerialArm
 
@@ -73,10 +75,15 @@ class IKSolver(ABC):
 
 SolverFactory = Callable[..., IKSolver]
 _FACTORIES: dict[str, SolverFactory] = {}
+_NEEDS: dict[str, tuple[Package, ...]] = {}
 
 
-def register_solver(name: str) -> Callable[[SolverFactory], SolverFactory]:
+def register_solver(name: str, needs: tuple[Package, ...] = ()) -> Callable[[SolverFactory], SolverFactory]:
     """Make ``make_solver(name, arm, **options)`` call the decorated class or function.
+
+    Args:
+        name: What users and tables call it.
+        needs: Packages without which it cannot run; its module must be importable without them.
 
     Raises:
         ValueError: If another solver already has that name.
@@ -86,6 +93,7 @@ def register_solver(name: str) -> Callable[[SolverFactory], SolverFactory]:
         if _FACTORIES.get(name, factory) is not factory:
             raise ValueError(f"A solver called {name!r} is already registered: {_FACTORIES[name]!r}.")
         _FACTORIES[name] = factory
+        _NEEDS[name] = needs
         return factory
 
     return register
@@ -94,6 +102,20 @@ def register_solver(name: str) -> Callable[[SolverFactory], SolverFactory]:
 def known_solvers() -> tuple[str, ...]:
     """Names that ``make_solver`` takes, sorted."""
     return tuple(sorted(_FACTORIES))
+
+
+def available_solvers() -> dict[str, str | None]:
+    """Every known solver, sorted: None where its packages are here, else why it cannot run and the remedy."""
+    return {name: _why_unavailable(name) for name in known_solvers()}
+
+
+def _why_unavailable(name: str) -> str | None:
+    try:
+        for package in _NEEDS[name]:
+            package.load()
+    except SolverUnavailable as error:
+        return str(error)
+    return None
 
 
 def make_solver(name: str, arm: SerialArm, **options: Any) -> IKSolver:
@@ -106,7 +128,11 @@ def make_solver(name: str, arm: SerialArm, **options: Any) -> IKSolver:
 
     Raises:
         ValueError: If no solver has that name.
+        SolverUnavailable: If a package or device that it needs is not here.
     """
     if name not in _FACTORIES:
         raise ValueError(f"Unknown solver {name!r}; known are {', '.join(known_solvers()) or 'none'}.")
+    reason = _why_unavailable(name)
+    if reason is not None:
+        raise SolverUnavailable(f"The solver {name!r} is not available: {reason}")
     return _FACTORIES[name](arm, **options)

@@ -1,0 +1,115 @@
+"""placo: one quadratic program in C++, as LeRobot uses it, and as its documentation would have it used.
+
+``placo_lerobot`` is LeRobot's own ``RobotKinematics`` called with its defaults: one QP per call, orientation
+weight 0.01 beside position weight 1, joint limits kept, no bound on the step. The QP is linearised where its
+robot was updated last, so that FK of the measured joints comes first, as in LeRobot's pipelines that observe the
+end effector. Joints go through degrees, as there.
+
+``placo`` follows the library's guide "Getting started" (floating base masked, a soft ``FrameTask`` with weights
+1 and 1, joint limits on) with a regularization task at its default of 1e-6, small enough to leave the answer
+alone; several iterations from the measured joints, each after ``update_kinematics``, and the box of the control
+step as joint limits.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.solvers.availability import from_extra
+from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
+from lerobot_mimicik.solvers.chain_urdf import TOOL, chain_urdf_file, pose_matrix
+from lerobot_mimicik.solvers.iterative import MAX_STEP, IterativeSolver
+
+PLACO = from_extra("placo")
+
+
+@register_solver("placo_lerobot", needs=(PLACO,))
+class LeRobotPlacoSolver(IKSolver):
+    """LeRobot's inverse kinematics; see the module."""
+
+    name = "placo_lerobot"
+
+    def __init__(
+        self, arm: SerialArm, position_weight: float = 1.0, orientation_weight: float = 0.01
+    ) -> None:
+        """
+        Args:
+            arm: The arm to solve for.
+            position_weight, orientation_weight: As LeRobot's.
+        """
+        from lerobot.model.kinematics import RobotKinematics
+
+        self.arm = arm
+        self.weights = {"position_weight": position_weight, "orientation_weight": orientation_weight}
+        with chain_urdf_file(arm.description) as path:
+            self._kinematics = RobotKinematics(path, TOOL, list(arm.joint_names))
+
+    def reset(self, q: Array) -> None:
+        """Nothing to forget."""
+
+    def solve(self, q_curr: Array, target_pose: Array) -> Array:
+        """The command (dof,) after one step."""
+        degrees = np.rad2deg(q_curr)
+        self._kinematics.forward_kinematics(degrees)
+        answer = self._kinematics.inverse_kinematics(degrees, pose_matrix(target_pose), **self.weights)
+        return np.deg2rad(answer)
+
+
+@register_solver("placo", needs=(PLACO,))
+class PlacoSolver(IterativeSolver):
+    """placo with full orientation weight, iterated; see the module."""
+
+    name = "placo"
+
+    def __init__(
+        self,
+        arm: SerialArm,
+        iterations: int = 20,
+        tolerance: float = 1e-6,
+        max_step: float = MAX_STEP,
+        position_weight: float = 1.0,
+        orientation_weight: float = 1.0,
+        regularization: float = 1e-6,
+    ) -> None:
+        """
+        Args:
+            arm: The arm to solve for.
+            iterations, tolerance, max_step: See ``IterativeSolver``.
+            position_weight, orientation_weight: Of the frame task.
+            regularization: Weight on the squared displacement.
+        """
+        super().__init__(arm, iterations, tolerance, max_step)
+        placo: Any = PLACO.load()
+        with chain_urdf_file(arm.description) as path:
+            self._robot = placo.RobotWrapper(path, placo.Flags.ignore_collisions)
+        self._solver = placo.KinematicsSolver(self._robot)
+        self._solver.mask_fbase(True)
+        self._solver.enable_joint_limits(True)
+        self._solver.add_regularization_task(regularization)
+        self._task = self._solver.add_frame_task(TOOL, np.eye(4))
+        self._task.configure(TOOL, "soft", position_weight, orientation_weight)
+
+    def _start(self, q: Array, target_pose: Array, lower: Array, upper: Array) -> None:
+        for name, value, low, high in zip(self.arm.joint_names, q, lower, upper, strict=True):
+            self._robot.set_joint_limits(name, low, high)
+            self._robot.set_joint(name, value)
+        self._robot.update_kinematics()
+        self._target = pose_matrix(target_pose)
+        self._task.T_world_frame = self._target
+
+    def _error(self) -> float:
+        # The task's own error_norm() is that of the last solve, not of the joints of now.
+        difference = np.linalg.inv(self._robot.get_T_world_frame(TOOL)) @ self._target
+        angle = Rotation.from_matrix(difference[:3, :3]).magnitude()
+        return float(np.hypot(np.linalg.norm(difference[:3, 3]), angle))
+
+    def _improve(self) -> None:
+        self._solver.solve(True)
+        self._robot.update_kinematics()
+
+    def _joints(self) -> Array:
+        return np.array([self._robot.get_joint(name) for name in self.arm.joint_names])
