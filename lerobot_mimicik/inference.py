@@ -20,7 +20,7 @@ from lerobot_mimicik.kinematics.array_chain import array_chain
 from lerobot_mimicik.noise import sample_normal
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+    from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 class _JointStep(nn.Module):
     """Joints and poses to a joint step [rad], (1, dof): what is traced."""
 
-    def __init__(self, policy: MimicIKPolicy):
+    def __init__(self, policy: LearnedIKPolicy):
         super().__init__()
         self.network, self.conditioning, self.delta = (
             policy.average.network,
@@ -45,19 +45,19 @@ class _JointStep(nn.Module):
 class TracedPolicy:
     """A policy's `predict_joints` for one history of frames, as one traced call. Its weights are those of now."""
 
-    def __init__(self, policy: MimicIKPolicy):
+    def __init__(self, policy: LearnedIKPolicy):
         self._chain = array_chain(policy.config.arm_description())
         self._lower, self._upper = (
             bound.double().cpu().numpy() for bound in (policy.arm.lower, policy.arm.upper)
         )
         self._device = policy.delta.lower.device
-        self._seed, self._dof, self._queries = int(policy.noise_seed), policy.config.dof, 0
-        frames = policy.config.n_obs_steps
+        self._seed, self._width = int(policy.noise_seed), policy.objective.draws * policy.config.dof
+        self._queries, frames = 0, policy.config.n_obs_steps
         example = (
-            torch.zeros(1, frames, self._dof),
+            torch.zeros(1, frames, policy.config.dof),
             torch.tensor([[[0.0] * 6 + [1.0]]]).repeat(1, frames, 1),
             torch.tensor([[[0.0] * 6 + [1.0]]]).repeat(1, frames, 1),
-            torch.zeros(1, self._dof),
+            torch.zeros(1, self._width),
         )
         with torch.no_grad(), warnings.catch_warnings():
             # torch announces that tracing will give way to export; the Python floor of this project has it.
@@ -79,7 +79,7 @@ class TracedPolicy:
         current = np.concatenate([position, Rotation.from_matrix(rotation).as_quat(canonical=True)], axis=-1)
         target = np.where(target[:, 6:] < 0, np.concatenate([target[:, :3], -target[:, 3:]], axis=-1), target)
         index = torch.zeros(1, dtype=torch.int64)
-        noise = sample_normal(index, self._dof, seed=self._seed, step=self._queries)
+        noise = sample_normal(index, self._width, seed=self._seed, step=self._queries)
         self._queries += 1
         inputs = [torch.from_numpy(each).float().unsqueeze(0) for each in (q, current, target)]
         with torch.inference_mode():

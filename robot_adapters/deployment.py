@@ -101,7 +101,8 @@ def drive(
         watchers: told of every frame.
     """
     dof, period = len(arm.joint_names), 1.0 / fps
-    log = DeploymentLog(*(np.full((len(targets), dof), np.nan) for _ in range(4)))
+    measured, before, commanded, in_force = (np.full((len(targets), dof), np.nan) for _ in range(4))
+    log = DeploymentLog(measured, before, commanded, in_force)
     watchers = list(watchers)
     due = began = clock.monotonic()
     for frame, target in enumerate(targets):

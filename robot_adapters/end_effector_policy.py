@@ -71,8 +71,9 @@ class EndEffectorPolicy:
         self.adapter.reset()
         self.result = None
         for part in (self.policy, self.preprocessor, self.postprocessor):
-            if hasattr(part, "reset"):
-                part.reset()
+            reset = getattr(part, "reset", None)
+            if reset is not None:
+                reset()
 
     def select_action(self, observation: Mapping[str, Any]) -> Array:
         """The next joint command.

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from robot_adapters.adapter import AdapterSettings, IKResult, MimicIKAdapter
-from robot_adapters.poses import PolicyFrames, PoseFormat
+from robot_adapters.poses import IDENTITY, PolicyFrames, PoseFormat
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 _POSE = ("x", "y", "z", "wx", "wy", "wz")
@@ -282,4 +282,4 @@ class EEActionToJoints(ProcessorStep):
 
 def make_frames(rotation: str, tool: list[float]) -> PolicyFrames:
     """Absolute poses in a rotation format, with a tool frame; an empty one is the arm's own."""
-    return PolicyFrames(form=PoseFormat(rotation), **({"tool": tool} if tool else {}))
+    return PolicyFrames(form=PoseFormat(rotation), tool=tool or tuple(IDENTITY))

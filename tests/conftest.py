@@ -32,3 +32,19 @@ def shared_data() -> Callable[[str], Path]:
         return path
 
     return path_of
+
+
+@pytest.fixture(scope="session")
+def mimicik_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training run of a small MimicIK policy of the AIRBOT Play, its data beside it in `data`."""
+    from trained import train_mimicik
+
+    return train_mimicik(tmp_path_factory.mktemp("mimicik"))
+
+
+@pytest.fixture(scope="session")
+def act_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training run of a small ACT policy in end-effector space, its data beside it in `ee`."""
+    from trained import train_act
+
+    return train_act(tmp_path_factory.mktemp("act"))

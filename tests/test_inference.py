@@ -25,7 +25,7 @@ def test_same_answer_as_the_policy(objective, conditioning):
     policy = MimicIKPolicy(config).eval()
     with torch.no_grad():
         for parameter in policy.average.network.parameters():
-            parameter.normal_(std=0.3)
+            parameter.normal_(std=0.05)
     traced, rng = TracedPolicy(policy), np.random.default_rng(1)
     for _ in range(5):
         q = rng.uniform(policy.arm.lower, policy.arm.upper, (2, 6))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import draccus
 
-HELP = "measure how many training samples a second are read, with and without whole-batch reading"
+HELP = "Measure how many training samples a second are read, with and without whole-batch reading."
 
 
 @dataclass
@@ -21,9 +21,11 @@ class BenchmarkLoaderConfig:
     # Samples in a batch.
     batch_size: int = 4096
     # Training steps with whole-batch reading; the first log window (start-up) is not counted.
-    steps: int = 60
-    # Training steps without it, which are far slower.
-    baseline_steps: int = 4
+    steps: int = 80
+    # Samples in a batch without it: read one by one, large batches only take longer.
+    baseline_batch_size: int = 256
+    # Training steps without it.
+    baseline_steps: int = 8
     # Loader processes of `lerobot-train`.
     num_workers: int = 0
 
@@ -55,7 +57,7 @@ def samples_per_second(config: BenchmarkLoaderConfig, batched: bool) -> float:
             f"--dataset.repo_id=local/{config.dataset_root.name}",
             f"--dataset.root={config.dataset_root}",
             f"--output_dir={folder}/run",
-            f"--batch_size={config.batch_size}",
+            f"--batch_size={config.batch_size if batched else config.baseline_batch_size}",
             f"--num_workers={config.num_workers}",
             f"--steps={steps}",
             f"--log_freq={log_freq}",

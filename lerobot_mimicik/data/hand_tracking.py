@@ -100,11 +100,12 @@ def limit_speed(motion: Array, max_step: float) -> Array:
     Time is stretched locally and smoothly, as a person slows for a difficult passage: the result has more
     frames.
     """
-    for _ in range(6):
+    for attempt in range(20):
         steps = np.abs(np.diff(motion, axis=0)).max(initial=0.0)
         if steps <= max_step:
             return motion
-        # Interpolation between the old frames may come out a little faster than their mean.
-        clock = stretched_clock(motion, 0.97 * max_step)
+        # Interpolation between the old frames may come out a little faster than their mean, at a sharp corner
+        # again and again: the aim is lowered each time.
+        clock = stretched_clock(motion, 0.97 ** (1 + attempt / 2) * max_step)
         motion = PchipInterpolator(np.arange(len(motion)), motion, axis=0)(clock)
     raise ValueError(f"a joint path still moves {steps:.4f} rad per frame after slowing it to {max_step} rad")

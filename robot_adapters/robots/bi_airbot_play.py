@@ -128,5 +128,12 @@ class BiAirbotPlayEE(BiAirbotPlay):
     config: BiAirbotPlayEEConfig
 
     def _make_arm(self, side: str, connection: AirbotConnection) -> AirbotPlay:
-        shared = {"ik": self.config.ik, "rotation": self.config.rotation, "tool": self.config.tool}
-        return AirbotPlayEE(AirbotPlayEEConfig(**self._identity(side), **asdict(connection), **shared))
+        return AirbotPlayEE(
+            AirbotPlayEEConfig(
+                **self._identity(side),
+                **asdict(connection),
+                ik=self.config.ik,
+                rotation=self.config.rotation,
+                tool=self.config.tool,
+            )
+        )

@@ -1,0 +1,171 @@
+"""Deployment over the bus: along recorded and generated motion, in plant mode, and what the reports say."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from lerobot_mimicik.evaluation.rollouts import RolloutOptions, known_modes, make_rollouts
+from lerobot_mimicik.evaluation.trajectories import Trajectory
+from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.solvers import make_solver
+from robot_adapters.adapter import MimicIKAdapter
+from robot_adapters.airbot.cell import SimulatedCell
+from robot_adapters.airbot.faults import Fault, FaultKind
+from robot_adapters.deployment import approach, drive
+from robot_adapters.doctor import Doctor, DoctorOptions, Outcome
+
+ARM = describe_arm("airbot_play")
+HOME = np.array(ARM.home)
+
+
+@pytest.fixture(scope="module")
+def circle() -> Trajectory:
+    adapter = MimicIKAdapter(make_solver("hold", SerialArm(ARM)), ARM)
+    phase = np.linspace(0, 2 * np.pi, 80)
+    target = np.repeat(adapter.forward(HOME)[None], 80, axis=0)
+    target[:, 1] += 0.04 * np.sin(phase)
+    target[:, 2] += 0.04 * (1 - np.cos(phase))
+    return Trajectory(0, np.repeat(HOME[None], 80, axis=0), target)
+
+
+def test_plant_mode_is_found_and_drives_the_simulated_arm(circle):
+    assert "plant" in known_modes()
+    (rollout,) = make_rollouts("plant", make_solver("mink", SerialArm(ARM)), [circle], RolloutOptions(seed=1))
+    assert rollout.asked == 80
+    arm = MimicIKAdapter(make_solver("hold", SerialArm(ARM)), ARM)
+    errors = [
+        np.linalg.norm(arm.forward(q)[:3] - t[:3]) for q, t in zip(rollout.q_cmd, circle.target, strict=True)
+    ]
+    assert np.mean(errors) < 0.002
+    assert np.abs(rollout.q_cmd - rollout.q_curr).max() <= 0.1 + 1e-9
+
+
+def test_the_same_seed_gives_the_same_drive(circle):
+    runs = [
+        make_rollouts("plant", make_solver("mink", SerialArm(ARM)), [circle], RolloutOptions(seed=5))[0].q_cmd
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(*runs)
+
+
+def test_adapter_over_the_bus_tracks_without_a_limit_touched(circle):
+    adapter = MimicIKAdapter(make_solver("mink", SerialArm(ARM)), ARM)
+    with SimulatedCell(q=HOME + 0.2, listen=True) as cell:
+        cell.arm.connect()
+        approach(cell.arm, cell.clock, HOME, 0.05)
+        log = drive(
+            cell.arm,
+            cell.clock,
+            lambda q, t: adapter.solve(q, t).q,
+            circle.target,
+            20.0,
+            cell.clock.monotonic,
+        )
+        assert log.asked == 80
+        assert set(log.statuses) == {"accepted"}
+        tool = np.array([adapter.forward(q)[:3] for q in log.measured])
+        assert np.linalg.norm(tool - circle.target[:, :3], axis=1).mean() < 0.02  # the arm's lag
+        assert cell.simulation.warnings == 0
+        cell.listener.poll()
+        assert cell.listener.violations == []
+
+
+def test_a_drive_ends_where_the_arm_stops(circle):
+    adapter = MimicIKAdapter(make_solver("mink", SerialArm(ARM)), ARM)
+    with SimulatedCell(
+        q=HOME, faults=[Fault(FaultKind.MOTOR_ERROR, motor_id=5, start=2.0, magnitude=12)]
+    ) as cell:
+        cell.arm.connect()
+        log = drive(
+            cell.arm,
+            cell.clock,
+            lambda q, t: adapter.solve(q, t).q,
+            circle.target,
+            20.0,
+            cell.clock.monotonic,
+        )
+    assert log.asked < 80
+    assert "MotorFault" in log.stopped
+
+
+def test_a_drive_ends_at_a_command_that_is_not_finite(circle):
+    with SimulatedCell(q=HOME) as cell:
+        cell.arm.connect()
+        log = drive(
+            cell.arm, cell.clock, lambda q, t: np.full(6, np.nan), circle.target, 20.0, cell.clock.monotonic
+        )
+    assert log.asked == 1
+    assert log.statuses == {"refused": 1}
+
+
+@pytest.mark.parametrize("options", [["--real_time=false"], ["--real_time=true", "--reference=measured"]])
+def test_deploy_command(mimicik_run, tmp_path, options):
+    out = tmp_path / "report"
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "lerobot_mimicik.cli.main",
+            "deploy",
+            f"--policy.path={mimicik_run}",
+            f"--dataset.root={mimicik_run.parent / 'data' / 'ood'}",
+            "--dataset.episodes=0",
+            "--dataset.seconds=5",
+            f"--display_file={tmp_path / 'deployment.rrd'}",
+            f"--out={out}",
+            *options,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
+    (row,) = json.loads((out / "report.json").read_text())["rows"]
+    assert (row["mode"], row["solver"], row["frames"]) == ("plant", "mimicik", 100)
+    assert row["estop"] == 0
+    summary = json.loads((out / "deployment.json").read_text())
+    assert summary["frames"] == 100
+    assert summary["protections"][0]["frames_above_0.1_rad"] == 0
+    assert not summary["protections"][0]["emergency_stop"]
+    assert sum(summary["ik"]["statuses"].values()) == 100
+    assert (tmp_path / "deployment.rrd").stat().st_size > 10_000
+
+
+# --- The doctor ---
+
+
+def outcomes(**options) -> dict[str, Outcome]:
+    return {finding.check: finding.outcome for finding in Doctor(DoctorOptions(**options)).run()}
+
+
+def test_doctor_finds_a_simulated_arm_and_its_checkpoint_well(mimicik_run):
+    adapter = MimicIKAdapter(make_solver("hold", SerialArm(ARM)), ARM)
+    found = outcomes(
+        interface="virtual", policy_path=str(mimicik_run), reported_pose=adapter.forward(HOME).tolist()
+    )
+    assert set(found.values()) == {Outcome.OK}
+    assert {"plugin", "bus", "boards", "motors", "ranges", "checkpoint against robot"} <= set(found)
+    assert "FK against the reported pose" in found
+
+
+def test_doctor_names_failures_with_remedies_and_skips_what_rests_on_them(tmp_path):
+    findings = Doctor(
+        DoctorOptions(interface="slcan", channel="/dev/does-not-exist", policy_path=str(tmp_path))
+    ).run()
+    found = {finding.check: finding for finding in findings}
+    for name in ("checkpoint", "bus"):
+        assert found[name].outcome is Outcome.FAILED
+        assert found[name].remedy
+    for name in ("checkpoint against robot", "boards", "motors", "joint limits"):
+        assert found[name].outcome is Outcome.SKIPPED
+
+
+def test_doctor_sees_a_pose_that_does_not_fit(mimicik_run):
+    found = outcomes(interface="virtual", reported_pose=[0.5, 0.0, 0.35, 0.0, 0.0, 0.0, 1.0])
+    assert found["FK against the reported pose"] is Outcome.FAILED
+    assert found["joint limits"] is Outcome.OK

@@ -1,0 +1,265 @@
+"""The AIRBOT Play as LeRobot robots: features, units, limits, two arms, cameras, and errors that name the thing."""
+
+import logging
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import lerobot_policy_mimicik  # noqa: F401 - registers the robots, as LeRobot's commands do
+import numpy as np
+import pytest
+from lerobot.cameras import Camera, CameraConfig
+from lerobot.robots.config import RobotConfig
+from lerobot.robots.utils import make_robot_from_config
+from lerobot.teleoperators.utils import make_teleoperator_from_config
+
+from robot_adapters.ik_options import IKOptions
+from robot_adapters.robots.config_airbot_play import (
+    AirbotConnection,
+    AirbotPlayConfig,
+    AirbotPlayEEConfig,
+    BiAirbotPlayConfig,
+    BiAirbotPlayEEConfig,
+)
+from robot_adapters.robots.config_recorded_motion import RecordedMotionConfig
+from robot_adapters.safety import CommandStatus
+
+JOINTS = [f"joint{i}.pos" for i in range(1, 7)]
+
+
+@pytest.fixture
+def connected(tmp_path):
+    """A function that makes and connects a robot; all are disconnected at the end."""
+    robots = []
+
+    def connect(config):
+        config.calibration_dir = tmp_path
+        robot = make_robot_from_config(config)
+        robots.append(robot)
+        robot.connect()
+        return robot
+
+    yield connect
+    for robot in robots:
+        if robot.is_connected:
+            robot.disconnect()
+
+
+def follow(robot, key: str, change: float, frames: int = 12) -> dict:
+    """Moves one number smoothly; what was sent last."""
+    start = robot.get_observation()
+    for frame in range(1, frames + 1):
+        action = {name: start[name] for name in robot.action_features}
+        action[key] += change * frame / frames
+        sent = robot.send_action(action)
+        time.sleep(0.05)
+    return sent
+
+
+def test_registered_under_their_names():
+    known = RobotConfig.get_known_choices()
+    assert {"airbot_play", "airbot_play_ee", "bi_airbot_play", "bi_airbot_play_ee"} <= set(known)
+
+
+@pytest.mark.parametrize("units", ["rad", "deg"])
+def test_joint_space(connected, units):
+    robot = connected(AirbotPlayConfig(interface="virtual", joint_units=units))
+    assert list(robot.action_features) == [*JOINTS, "gripper.pos"]
+    observation = robot.get_observation()
+    assert set(observation) == set(robot.observation_features)
+    one = 1.0 if units == "rad" else np.degrees(1.0)
+    np.testing.assert_allclose([observation[key] / one for key in JOINTS], robot.simulation.q, atol=2e-3)
+    sent = follow(robot, "joint6.pos", 0.3 * one)
+    assert sent["joint6.pos"] / one == pytest.approx(robot.arm.target()[5], abs=1e-6)
+    assert robot.simulation.q[5] - observation["joint6.pos"] / one > 0.15
+    assert robot.simulation.warnings == 0
+
+
+def test_without_a_gripper(connected):
+    robot = connected(AirbotPlayConfig(interface="virtual", gripper=False))
+    assert list(robot.action_features) == JOINTS
+    assert set(robot.send_action(robot.get_observation())) == set(JOINTS)
+
+
+def test_a_jump_is_refused_and_reported_or_walked_to(connected, caplog):
+    with caplog.at_level(logging.WARNING):
+        robot = connected(AirbotPlayConfig(interface="virtual", gripper=False))
+        start = robot.get_observation()
+        far = start | {"joint1.pos": start["joint1.pos"] + 1.0}
+        sent = robot.send_action(far)
+        assert robot.result.status is CommandStatus.REFUSED
+        assert sent["joint1.pos"] == pytest.approx(start["joint1.pos"], abs=5e-3)
+        assert "JumpViolation" in caplog.text
+    robot = connected(AirbotPlayConfig(interface="virtual", gripper=False, max_relative_target=0.05))
+    before = robot.get_observation()["joint1.pos"]
+    sent = [robot.send_action(far)["joint1.pos"] for _ in range(1)]
+    assert sent[0] - before == pytest.approx(0.05, abs=5e-3)
+
+
+def test_errors_name_the_thing(connected, tmp_path):
+    with pytest.raises(ValueError, match="joint_units='turns'"):
+        AirbotPlayConfig(joint_units="turns")
+    with pytest.raises(ValueError, match="max_relative_target"):
+        AirbotPlayConfig(max_relative_target=2.0)
+    with pytest.raises(ValueError, match="euler"):
+        AirbotPlayEEConfig(rotation="euler")
+    robot = make_robot_from_config(AirbotPlayEEConfig(interface="virtual", calibration_dir=tmp_path))
+    with pytest.raises(ValueError, match=r"ik\.path is missing"):
+        robot.connect()
+    assert not robot.is_connected
+    robot = connected(AirbotPlayConfig(interface="virtual", gripper=False))
+    with pytest.raises(KeyError, match=r"joint3\.pos"):
+        robot.send_action({key: 0.0 for key in JOINTS if key != "joint3.pos"})
+
+
+def test_an_interface_that_does_not_exist_says_what_to_do(tmp_path):
+    robot = make_robot_from_config(
+        AirbotPlayConfig(interface="slcan", channel="/dev/does-not-exist", calibration_dir=tmp_path)
+    )
+    with pytest.raises(OSError, match="does-not-exist"):
+        robot.connect()
+    assert not robot.is_connected
+
+
+@pytest.mark.parametrize("rotation", ["quaternion", "rotation_vector", "rotation_6d"])
+def test_end_effector_space(connected, mimicik_run, rotation):
+    config = AirbotPlayEEConfig(interface="virtual", ik=IKOptions(path=str(mimicik_run)), rotation=rotation)
+    robot = connected(config)
+    assert list(robot.action_features)[:3] == ["ee.x.pos", "ee.y.pos", "ee.z.pos"]
+    assert list(robot.action_features)[-1] == "ee.gripper.pos"
+    before = robot.get_observation()
+    np.testing.assert_allclose(
+        [before[f"ee.{axis}.pos"] for axis in "xyz"], robot.adapter.forward(robot.simulation.q)[:3], atol=2e-3
+    )
+    follow(robot, "ee.z.pos", 0.05, frames=20)
+    after = robot.get_observation()
+    assert after["ee.z.pos"] - before["ee.z.pos"] > 0.03
+    assert abs(after["ee.x.pos"] - before["ee.x.pos"]) < 0.01
+    assert robot.simulation.warnings == 0
+    assert robot.ik_result is not None
+
+
+def test_a_pose_that_is_none_holds_the_arm(connected, mimicik_run, caplog):
+    robot = connected(
+        AirbotPlayEEConfig(interface="virtual", gripper=False, ik=IKOptions(path=str(mimicik_run)))
+    )
+    before = robot.arm.target()
+    with caplog.at_level(logging.WARNING):
+        robot.send_action(dict.fromkeys(robot.action_features, 0.0))
+    assert "no rotation" in caplog.text
+    np.testing.assert_allclose(robot.arm.target(), before, atol=5e-3)
+
+
+def test_two_arms(connected):
+    virtual = AirbotConnection(interface="virtual", gripper=False)
+    robot = connected(BiAirbotPlayConfig(left=virtual, right=virtual))
+    assert list(robot.action_features) == [f"{side}_{key}" for side in ("left", "right") for key in JOINTS]
+    follow(robot, "left_joint6.pos", 0.2)
+    moved = [arm.simulation.q[5] + 1.5708 for arm in (robot.left_arm, robot.right_arm)]
+    assert moved[0] > 0.1
+    assert abs(moved[1]) < 0.01
+    with pytest.raises(KeyError, match="right_joint1"):
+        robot.send_action({f"left_{key}": 0.0 for key in JOINTS})
+
+
+def test_two_arms_in_end_effector_space(connected, mimicik_run):
+    virtual = AirbotConnection(interface="virtual")
+    robot = connected(BiAirbotPlayEEConfig(left=virtual, right=virtual, ik=IKOptions(path=str(mimicik_run))))
+    observation = robot.get_observation()
+    assert {"left_ee.x.pos", "right_ee.qw.pos", "right_ee.gripper.pos"} <= set(observation)
+    sent = robot.send_action({key: observation[key] for key in robot.action_features})
+    assert sent["right_ee.x.pos"] == pytest.approx(observation["right_ee.x.pos"], abs=5e-3)
+
+
+def test_two_arms_close_when_one_does_not_answer(tmp_path):
+    robot = make_robot_from_config(
+        BiAirbotPlayConfig(
+            left=AirbotConnection(interface="virtual"),
+            right=AirbotConnection(interface="virtual-nowhere"),
+            calibration_dir=tmp_path,
+        )
+    )
+    with pytest.raises(OSError, match="virtual-nowhere"):
+        robot.connect()
+    assert not robot.left_arm.is_connected
+
+
+@CameraConfig.register_subclass("test_pattern")
+@dataclass(kw_only=True)
+class PatternCameraConfig(CameraConfig):
+    """A camera that needs no device."""
+
+
+class PatternCamera(Camera):
+    """Shows how often it was read."""
+
+    def __init__(self, config):
+        super().__init__(config)
+        self.reads = 0
+        self._open = False
+
+    @property
+    def is_connected(self):
+        """Whether it was opened."""
+        return self._open
+
+    @staticmethod
+    def find_cameras():
+        """None."""
+        return []
+
+    def connect(self, warmup=True):
+        """Opens."""
+        self._open = True
+
+    def read(self, *args):
+        """An image of one brightness."""
+        self.reads += 1
+        return np.full((self.height, self.width, 3), self.reads, np.uint8)
+
+    async_read = read_latest = read
+
+    def disconnect(self):
+        """Closes."""
+        self._open = False
+
+
+@pytest.mark.parametrize("two", [False, True])
+def test_cameras_attach_as_to_lerobots_own_robots(connected, two):
+    cameras = {"wrist": PatternCameraConfig(fps=20, width=8, height=6)}
+    virtual = AirbotConnection(interface="virtual")
+    config = (
+        BiAirbotPlayConfig(left=virtual, right=virtual, cameras=cameras)
+        if two
+        else AirbotPlayConfig(interface="virtual", cameras=cameras)
+    )
+    robot = connected(config)
+    assert robot.observation_features["wrist"] == (6, 8, 3)
+    assert robot.get_observation()["wrist"].shape == (6, 8, 3)
+    robot.disconnect()
+    assert not robot.cameras["wrist"].is_connected
+
+
+def test_recorded_motion_plays_an_episode(mimicik_run, tmp_path):
+    root = str(mimicik_run.parent / "data" / "test")
+
+    def teleoperator(**options):
+        return make_teleoperator_from_config(
+            RecordedMotionConfig(**{"dataset_root": root, "calibration_dir": tmp_path} | options)
+        )
+
+    player = teleoperator(column="observation.ee_target", gripper=0.02)
+    assert list(player.action_features)[0] == "ee.x.pos"
+    assert list(player.action_features)[-1] == "ee.gripper.pos"
+    player.connect()
+    first = player.get_action()
+    time.sleep(0.2)
+    assert player.get_action() != first
+    player.disconnect()
+    for options, message in (
+        ({"dataset_root": str(Path(root).parent)}, "no LeRobot dataset"),
+        ({"column": "observation.force"}, r"observation\.force"),
+        ({"episode": 999}, "episode 999"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            _ = teleoperator(**options).action_features
