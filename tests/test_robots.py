@@ -249,7 +249,7 @@ def test_recorded_motion_plays_an_episode(mimicik_run, tmp_path):
         )
 
     player = teleoperator(column="observation.ee_target", gripper=0.02)
-    assert list(player.action_features)[0] == "ee.x.pos"
+    assert next(iter(player.action_features)) == "ee.x.pos"
     assert list(player.action_features)[-1] == "ee.gripper.pos"
     player.connect()
     first = player.get_action()
