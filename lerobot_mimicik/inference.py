@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from lerobot_mimicik.kinematics.array_chain import array_chain
@@ -26,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class _JointStep(nn.Module):
-    """Joints and poses to a joint step [rad], (1, dof): what is traced."""
+    """Joints and poses to a joint step [rad], (dof,): what is traced."""
 
     def __init__(self, policy: LearnedIKPolicy):
         super().__init__()
@@ -37,9 +36,11 @@ class _JointStep(nn.Module):
         )
         self.objective, self.clip = policy.objective, policy.config.clip_delta
 
-    def forward(self, q: Tensor, current: Tensor, target: Tensor, noise: Tensor) -> Tensor:
+    def forward(self, frames: Tensor, noise: Tensor) -> Tensor:
+        """`frames`: q, current and target pose side by side, (T_o, dof + 14)."""
+        q, current, target = frames.float().unsqueeze(0).split([frames.shape[-1] - 14, 7, 7], dim=-1)
         delta = self.objective.predict(self.network, self.conditioning(q, current, target), noise)
-        return self.delta.unnormalise(delta.clamp(-1, 1) if self.clip else delta)
+        return self.delta.unnormalise(delta.clamp(-1, 1) if self.clip else delta)[0].double()
 
 
 class TracedPolicy:
@@ -51,21 +52,18 @@ class TracedPolicy:
             bound.double().cpu().numpy() for bound in (policy.arm.lower, policy.arm.upper)
         )
         self._device = policy.delta.lower.device
-        self._seed, self._width = int(policy.noise_seed), policy.objective.draws * policy.config.dof
-        self._queries, frames = 0, policy.config.n_obs_steps
-        example = (
-            torch.zeros(1, frames, policy.config.dof),
-            torch.tensor([[[0.0] * 6 + [1.0]]]).repeat(1, frames, 1),
-            torch.tensor([[[0.0] * 6 + [1.0]]]).repeat(1, frames, 1),
-            torch.zeros(1, self._width),
-        )
+        self._seed, self._queries = int(policy.noise_seed), 0
+        self._width = policy.objective.draws * policy.config.dof
+        self._random = policy.objective.random
+        self._zeros = torch.zeros(1, self._width, device=self._device)
+        frames = torch.zeros(policy.config.n_obs_steps, policy.config.dof + 14, dtype=torch.float64)
+        frames[:, [-8, -1]] = 1.0
         with torch.no_grad(), warnings.catch_warnings():
             # torch announces that tracing will give way to export; the Python floor of this project has it.
             warnings.simplefilter("ignore", DeprecationWarning)
             warnings.simplefilter("ignore", torch.jit.TracerWarning)  # shapes are the same in every query
-            traced = torch.jit.trace(
-                _JointStep(policy).eval(), [each.to(self._device) for each in example], check_trace=False
-            )
+            example = (frames.to(self._device), self._zeros)
+            traced = torch.jit.trace(_JointStep(policy).eval(), example, check_trace=False)
             self._step = torch.jit.freeze(traced)
 
     def __call__(self, q: Array, target: Array) -> Array:
@@ -75,15 +73,19 @@ class TracedPolicy:
             q: joints of the last frames, oldest first [rad], (T_o, dof).
             target: target poses of the same frames, (T_o, 7).
         """
-        rotation, position = self._chain.forward(q)
-        current = np.concatenate([position, Rotation.from_matrix(rotation).as_quat(canonical=True)], axis=-1)
-        target = np.where(target[:, 6:] < 0, np.concatenate([target[:, :3], -target[:, 3:]], axis=-1), target)
+        sign = np.where(target[:, 6:] < 0, -1.0, 1.0)
+        # Every torch call gives the interpreter away: the numbers go in at once.
+        frames = np.concatenate([q, self._chain.pose(q), target[:, :3], sign * target[:, 3:]], axis=-1)
+        with torch.inference_mode():
+            step = self._step(torch.from_numpy(frames).to(self._device), self._noise()).cpu().numpy()
+        command = q[-1] + step
+        # As in `predict_joints`: joints measured a little outside their limits are never pushed further out.
+        return np.clip(command, np.minimum(self._lower, q[-1]), np.maximum(self._upper, q[-1]))
+
+    def _noise(self) -> Tensor:
+        if not self._random:
+            return self._zeros
         index = torch.zeros(1, dtype=torch.int64)
         noise = sample_normal(index, self._width, seed=self._seed, step=self._queries)
         self._queries += 1
-        inputs = [torch.from_numpy(each).float().unsqueeze(0) for each in (q, current, target)]
-        with torch.inference_mode():
-            step = self._step(*(each.to(self._device) for each in (*inputs, noise)))
-        command = q[-1] + step[0].double().cpu().numpy()
-        # As in `predict_joints`: joints measured a little outside their limits are never pushed further out.
-        return np.clip(command, np.minimum(self._lower, q[-1]), np.maximum(self._upper, q[-1]))
+        return noise.to(self._device)

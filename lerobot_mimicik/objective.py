@@ -20,10 +20,12 @@ class Objective[Network: nn.Module](ABC):
     Attributes:
         name: what its loss is called in the log.
         draws: standard normal vectors of an action's width that drawing an action takes.
+        random: whether an action depends on them.
     """
 
     name: str
     draws: int = 1
+    random: bool = False
 
     @abstractmethod
     def loss(self, network: Network, obs: Tensor, action: Tensor, noise: Tensor, time: Tensor) -> Tensor:
@@ -85,6 +87,7 @@ class FlowMatching(Objective[FlowGenerator]):
     """Conditional flow matching along straight lines; inference is Euler integration from noise."""
 
     name = "flow"
+    random = True
 
     def __init__(self, n_steps: int = 10):
         self.n_steps = n_steps

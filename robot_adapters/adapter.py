@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
@@ -146,8 +145,7 @@ class MimicIKAdapter:
 
     def forward(self, q: ArrayLike) -> Array:
         """`T_base_tool` (7,) of joints (dof,) [rad]."""
-        rotation, position = self.chain.forward(np.asarray(q, dtype=float)[None])
-        return np.concatenate([position[0], Rotation.from_matrix(rotation[0]).as_quat(canonical=True)])
+        return self.chain.pose(np.asarray(q, dtype=float)[None])[0]
 
     def reset(self) -> None:
         """Forget the past: call it when a motion starts anew."""

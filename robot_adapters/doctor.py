@@ -294,12 +294,9 @@ class Doctor:
 
 
 def _forward(description: Any, q: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
     from lerobot_mimicik.kinematics.array_chain import array_chain
 
-    rotation, position = array_chain(description).forward(q)
-    return np.concatenate([position[0], Rotation.from_matrix(rotation[0]).as_quat(canonical=True)])
+    return array_chain(description).pose(q)[0]
 
 
 def _feedback_of(motor: DmMotor) -> Callable[[Any], MotorFeedback | None]:

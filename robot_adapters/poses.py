@@ -120,8 +120,8 @@ def inverse(pose_a_b: ArrayLike) -> Array:
 
 def pose_distance(pose_a: Array, pose_b: Array) -> tuple[float, float]:
     """Distance [m] and angle [rad] between two poses of shape (7,)."""
-    turn = Rotation.from_quat(pose_a[3:]).inv() * Rotation.from_quat(pose_b[3:])
-    return float(np.linalg.norm(pose_a[:3] - pose_b[:3])), float(turn.magnitude())
+    chord = min(np.linalg.norm(pose_a[3:] - pose_b[3:]), np.linalg.norm(pose_a[3:] + pose_b[3:]))
+    return float(np.linalg.norm(pose_a[:3] - pose_b[:3])), 4.0 * float(np.arcsin(min(chord / 2, 1.0)))
 
 
 def towards(pose: Array, target: Array, lower: Array, upper: Array) -> tuple[Array, float]:
@@ -137,13 +137,12 @@ def towards(pose: Array, target: Array, lower: Array, upper: Array) -> tuple[Arr
     Returns:
         the pose (7,) and the share of the way, 1.0 for the target itself.
     """
-    start = Rotation.from_quat(pose[3:])
-    turn = (Rotation.from_quat(target[3:]) * start.inv()).as_rotvec()
+    turn = _turn(pose[3:], target[3:])
     step = np.concatenate([target[:3] - pose[:3], turn])
     share = float(1.0 / max(1.0, (step / np.where(step < 0, lower, upper)).max()))
     if share >= 1.0:
         return target.copy(), 1.0
-    rotation = Rotation.from_rotvec(share * turn) * start
+    rotation = Rotation.from_rotvec(share * turn) * Rotation.from_quat(pose[3:])
     return np.concatenate([pose[:3] + share * step[:3], rotation.as_quat(canonical=True)]), share
 
 
@@ -193,6 +192,15 @@ class PolicyFrames:
             turned = compose(np.concatenate([np.zeros((*given.shape[:-1], 3)), given[..., 3:]], -1), current)
             given = np.concatenate([given[..., :3] + current[:3], turned[..., 3:]], axis=-1)
         return compose(compose(self.base, given), inverse(self.tool))
+
+
+def _turn(start: Array, end: Array) -> Array:
+    """Rotation vector (3,) [rad] of R_end R_start^T, the short way, of unit quaternions (4,)."""
+    sine = start[3] * end[:3] - end[3] * start[:3] - np.cross(end[:3], start[:3])
+    cosine = float(end @ start)
+    sine, cosine = (-sine, -cosine) if cosine < 0 else (sine, cosine)
+    size = float(np.linalg.norm(sine))
+    return 2.0 * sine if size < 1e-9 else sine * (2.0 * np.arctan2(size, cosine) / size)
 
 
 def _orthonormal(numbers: Array, rows: bool) -> Array:

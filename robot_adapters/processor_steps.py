@@ -132,8 +132,6 @@ class JointsToEEState(ObservationProcessorStep):
         Raises:
             KeyError, ValueError: there is no state, or it has the wrong size.
         """
-        from scipy.spatial.transform import Rotation
-
         if OBS_STATE not in observation:
             raise KeyError(f"the observation has no {OBS_STATE!r}; it has {sorted(observation)}")
         state: Tensor = observation.pop(OBS_STATE)
@@ -144,9 +142,7 @@ class JointsToEEState(ObservationProcessorStep):
             )
         numbers = state.detach().double().cpu().numpy()
         joints = numbers[..., :dof].reshape(-1, dof) * (np.pi / 180 if self.joint_units == "deg" else 1.0)
-        rotation, position = self._chain.forward(joints)
-        pose = np.concatenate([position, Rotation.from_matrix(rotation).as_quat(canonical=True)], axis=-1)
-        pose = self._frames.to_policy(pose).reshape(*numbers.shape[:-1], -1)
+        pose = self._frames.to_policy(self._chain.pose(joints)).reshape(*numbers.shape[:-1], -1)
         self.latest[self.link] = joints[-1]
         seen = np.concatenate([pose, numbers[..., dof:]], axis=-1)
         given = torch.as_tensor(seen, dtype=state.dtype, device=state.device)

@@ -54,3 +54,15 @@ def test_body_points_follow_their_links():
 def test_joints_of_another_width_are_refused():
     with pytest.raises(ValueError, match=r"\(N, 6\)"):
         ArrayChain(describe_arm("airbot_play")).forward(np.zeros((3, 5)))
+
+
+def test_quaternions_of_any_rotation():
+    from scipy.spatial.transform import Rotation
+
+    from lerobot_mimicik.kinematics.array_chain import quaternion_from_matrix
+
+    halves = Rotation.from_rotvec(np.pi * np.eye(3))
+    rotations = Rotation.concatenate([Rotation.random(200, rng=np.random.default_rng(0)), halves])
+    found = quaternion_from_matrix(rotations.as_matrix())
+    assert (found[:, 3] >= 0).all()
+    np.testing.assert_allclose((Rotation.from_quat(found) * rotations.inv()).magnitude(), 0, atol=1e-7)

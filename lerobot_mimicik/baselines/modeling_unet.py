@@ -25,6 +25,7 @@ class Diffusion(Objective[ConditionalUNet]):
     """
 
     name = "diffusion"
+    random = True
 
     def __init__(self, train_timesteps: int = 100, inference_steps: int = 10):
         try:

@@ -55,6 +55,11 @@ class ArrayChain:
         columns, position = _follow(self._walk(q)[-1], self._tool)
         return np.ascontiguousarray(columns.transpose(2, 1, 0)), np.ascontiguousarray(position.T)
 
+    def pose(self, q: np.ndarray) -> np.ndarray:
+        """`T_base_tool` (N, 7), x y z qx qy qz qw with qw >= 0, of joints (N, dof)."""
+        rotation, position = self.forward(q)
+        return np.concatenate([position, quaternion_from_matrix(rotation)], axis=1)
+
     def forward_and_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Tool rotation (N, 3, 3), position (N, 3) and geometric Jacobian (N, 6, dof), linear rows first."""
         frames = self._walk(q)
@@ -120,6 +125,26 @@ def array_chain(description: ArmDescription) -> ArrayChain:
 def compose(a: Pose, b: Pose) -> Pose:
     """The pose a b."""
     return a[0] @ b[0], a[1] + a[0] @ b[1]
+
+
+def quaternion_from_matrix(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternions xyzw with w >= 0, (N, 4), of rotation matrices (N, 3, 3).
+
+    The products of the quaternion's components with its largest one, normalised (Shepperd 1978).
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.transpose(1, 2, 0)
+    products = np.array(
+        [
+            [1 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
+            [xy + yx, 1 - xx + yy - zz, yz + zy, xz - zx],
+            [xz + zx, yz + zy, 1 - xx - yy + zz, yx - xy],
+            [zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz],
+        ]
+    )
+    largest = np.argmax(np.einsum("iin->in", products), axis=0)
+    found = products[largest, :, np.arange(len(rotation))]
+    found /= np.sqrt((found * found).sum(axis=1, keepdims=True))
+    return np.where(found[:, 3:] < 0, -found, found)
 
 
 def rotation_from_rpy(rpy: tuple[float, ...]) -> np.ndarray:
