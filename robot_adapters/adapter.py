@@ -227,7 +227,8 @@ class MimicIKAdapter:
         errors = pose_distance(self.forward(q), target)
         if self._is_reached(errors):
             return IKResult(q, IKStatus.REACHED, *errors, _step(start, q), self.solver.name)
-        closest = closest_configuration(self.chain, self.lower, self.upper, q, target)
+        # From where the arm is, not from the answer: so that it comes to rest where it can get no closer.
+        closest = closest_configuration(self.chain, self.lower, self.upper, start, target)
         best = pose_distance(self.forward(closest), target)
         other, _ = self._within_a_step(start, closest)
         if not self._is_reached(best):
@@ -237,7 +238,9 @@ class MimicIKAdapter:
         far = share < 1.0 or cut
         if far:
             status, message = IKStatus.LIMITED, "a step towards a target that is several steps away"
-            stalled = self._cost(errors) > self._cost(pose_distance(here, target)) * 0.999
+            before = self._cost(pose_distance(here, target))
+            aimed_at = before - self._cost(pose_distance(waypoint, target))
+            stalled = before - self._cost(errors) < 0.5 * aimed_at
         else:
             status, message = IKStatus.RELAXED, "in reach, and missed by the solver"
             stalled = errors[0] > settings.relaxed_position or errors[1] > settings.relaxed_rotation

@@ -23,6 +23,7 @@ Controller = Callable[[Array, Array], Array]
 """Measured joints (dof,) [rad] and the frame's target `T_base_tool` (7,) to a joint command (dof,) [rad]."""
 
 _APPROACH_STEP = 0.05  # rad per frame on the way to where a trajectory begins
+_SETTLING = 15  # frames there until the arm has caught up
 
 
 @dataclass
@@ -68,7 +69,7 @@ def approach(arm: AirbotArm, clock: Clock, q: Array, period: float) -> None:
     """
     start = arm.read().q
     frames = int(np.ceil(np.abs(q - start).max() / _APPROACH_STEP))
-    for share in np.linspace(0.0, 1.0, frames + 1)[1:]:
+    for share in [*np.linspace(0.0, 1.0, frames + 1)[1:], *[1.0] * _SETTLING]:
         result = arm.command(start + share * (q - start))
         if arm.mode is ArmMode.STOPPED:
             raise RuntimeError(
