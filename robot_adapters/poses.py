@@ -120,7 +120,7 @@ def inverse(pose_a_b: ArrayLike) -> Array:
 
 def pose_distance(pose_a: Array, pose_b: Array) -> tuple[float, float]:
     """Distance [m] and angle [rad] between two poses of shape (7,)."""
-    chord = min(np.linalg.norm(pose_a[3:] - pose_b[3:]), np.linalg.norm(pose_a[3:] + pose_b[3:]))
+    chord = min(float(np.linalg.norm(pose_a[3:] + sign * pose_b[3:])) for sign in (-1, 1))
     return float(np.linalg.norm(pose_a[:3] - pose_b[:3])), 4.0 * float(np.arcsin(min(chord / 2, 1.0)))
 
 
