@@ -24,6 +24,7 @@ from robot_adapters.reachability import closest_configuration
 if TYPE_CHECKING:
     from robot_adapters.end_effector_policy import EndEffectorPolicy
 
+_WARM_UP = 4  # queries; the tracer optimises at the second and third
 Array = NDArray[np.float64]
 
 
@@ -136,7 +137,9 @@ class MimicIKAdapter:
         policy = load_policy(str(path), device)
         description = policy.config.arm_description()
         solver = MimicIKSolver(SerialArm(description), policy)
-        return cls(solver, description, AdapterSettings(**settings))
+        adapter = cls(solver, description, AdapterSettings(**settings))
+        adapter.warm_up()
+        return adapter
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -146,6 +149,16 @@ class MimicIKAdapter:
     def forward(self, q: ArrayLike) -> Array:
         """`T_base_tool` (7,) of joints (dof,) [rad]."""
         return self.chain.pose(np.asarray(q, dtype=float)[None])[0]
+
+    def warm_up(self) -> None:
+        """Answer a few queries and forget them: the first ones of a network may take a second, an arm must
+        not wait for them.
+        """
+        middle = np.clip((self.lower + self.upper) / 2, -np.pi, np.pi)
+        middle = np.where(np.isfinite(middle), middle, 0.0)
+        for _ in range(_WARM_UP):
+            self.solve(middle, self.forward(middle))
+        self.reset()
 
     def reset(self) -> None:
         """Forget the past: call it when a motion starts anew."""

@@ -1,13 +1,11 @@
 """What the tests of learned policies share: a policy as `lerobot-train` makes it, and runs of that command."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import torch
 from lerobot.datasets import LeRobotDataset
 from lerobot.policies.factory import make_policy, make_pre_post_processors
+from lerobot_commands import run_here
 
 from lerobot_mimicik.configuration_learned import LearnedIKConfig
 from lerobot_mimicik.modeling_learned import LearnedIKPolicy
@@ -47,22 +45,15 @@ def queries(policy: LearnedIKPolicy, count: int = 5) -> tuple[torch.Tensor, torc
 
 
 def lerobot_train(*arguments: str) -> None:
-    """Runs the console command in a process of its own, which finds the policies as a user's does."""
-    done = subprocess.run(
-        [
-            str(Path(sys.executable).with_name("lerobot-train")),
-            *arguments,
-            "--policy.push_to_hub=false",
-            "--policy.device=cpu",
-            "--dataset.repo_id=local/teleop",
-            "--batch_size=16",
-            "--num_workers=0",
-            "--log_freq=1",
-            "--env_eval_freq=0",
-        ],
-        env={**os.environ, "OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
+    """Runs the command with what all runs here have in common."""
+    run_here(
+        "lerobot.scripts.lerobot_train",
+        *arguments,
+        "--policy.push_to_hub=false",
+        "--policy.device=cpu",
+        "--dataset.repo_id=local/teleop",
+        "--batch_size=16",
+        "--num_workers=0",
+        "--log_freq=1",
+        "--env_eval_freq=0",
     )
-    assert done.returncode == 0, done.stderr[-3000:]

@@ -68,7 +68,9 @@ def test_the_table_has_every_row_and_says_what_is_unavailable(made):
     assert "| test_not_installed | - |" in page.replace("test not installed", "test_not_installed")
     assert "this solver needs a library that is not installed" in page
     assert " ± " in page
-    assert {path.name for path in (out / "figures").iterdir()} == {"errors_test.png"}
+    figures = {path.name for path in (out / "figures").iterdir()}
+    assert figures == {"errors_test.png", "errors_test.txt", "anatomy.png", "anatomy.txt"}
+    assert {path.name for path in (out / "anatomy").iterdir()} == {"mlp.npz", "hold.npz"}
 
 
 def test_each_training_says_what_it_cost(made):

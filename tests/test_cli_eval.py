@@ -95,7 +95,7 @@ def test_without_a_policy_the_arm_comes_from_the_dataset(made):
     ("option", "message"),
     [
         ("--mode=half_open", "open_loop, closed_loop"),
-        ("--solvers=hold,magic", "known are hold"),
+        ("--solvers=hold,magic", "unknown magic; known are "),
         ("--solvers=mimicik", "--policy.path is missing"),
         ("--episodes=one", "'one'"),
         ("--policy.path=nowhere/at/all", "nowhere/at/all"),

@@ -94,9 +94,10 @@ def test_paper_configuration_spells_the_paper():
 
 
 @pytest.mark.parametrize("name", ["paper.json", "small.json"])
-@pytest.mark.parametrize("fk_weight", [0.0, 0.05, 0.1, 0.2, 0.5])
-def test_ablations_are_one_flag(name, fk_weight):
-    changed, reference = parse(name, f"--policy.fk_weight={fk_weight}"), parse(name)
-    assert changed.policy.fk_weight == fk_weight
-    changed.policy.fk_weight = reference.policy.fk_weight
-    assert changed == reference
+def test_ablations_are_one_flag(name):
+    reference = parse(name)
+    for fk_weight in (0.0, 0.05, 0.2, 0.5):
+        changed = parse(name, f"--policy.fk_weight={fk_weight}")
+        assert changed.policy.fk_weight == fk_weight
+        changed.policy.fk_weight = reference.policy.fk_weight
+        assert changed == reference

@@ -1,12 +1,11 @@
 """Deployment over the bus: along recorded and generated motion, in plant mode, and what the reports say."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
+from lerobot_mimicik.cli.main import main
 from lerobot_mimicik.evaluation.rollouts import RolloutOptions, known_modes, make_rollouts
 from lerobot_mimicik.evaluation.trajectories import Trajectory
 from lerobot_mimicik.kinematics.arms import describe_arm
@@ -105,26 +104,21 @@ def test_a_drive_ends_at_a_command_that_is_not_finite(circle):
 @pytest.mark.parametrize("options", [["--real_time=false"], ["--real_time=true", "--reference=measured"]])
 def test_deploy_command(mimicik_run, tmp_path, options):
     out = tmp_path / "report"
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "lerobot_mimicik.cli.main",
-            "deploy",
-            f"--policy.path={mimicik_run}",
-            f"--dataset.root={mimicik_run.parent / 'data' / 'ood'}",
-            "--dataset.episodes=0",
-            "--dataset.seconds=5",
-            f"--display_file={tmp_path / 'deployment.rrd'}",
-            f"--out={out}",
-            *options,
-        ],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
+    assert (
+        main(
+            [
+                "deploy",
+                f"--policy.path={mimicik_run}",
+                f"--dataset.root={mimicik_run.parent / 'data' / 'ood'}",
+                "--dataset.episodes=0",
+                "--dataset.seconds=5",
+                f"--display_file={tmp_path / 'deployment.rrd'}",
+                f"--out={out}",
+                *options,
+            ]
+        )
+        == 0
     )
-    assert done.returncode == 0, done.stderr[-4000:]
     (row,) = json.loads((out / "report.json").read_text())["rows"]
     assert (row["mode"], row["solver"], row["frames"]) == ("plant", "mimicik", 100)
     assert row["estop"] == 0

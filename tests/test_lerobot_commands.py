@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 from lerobot.datasets import LeRobotDataset
-from trained import run_lerobot
+from lerobot_commands import run_console, run_here
 
 from robot_adapters.wrapping import wrap_checkpoint
 
@@ -32,8 +32,8 @@ def act_for_poses(act_run, tmp_path_factory):
 
 
 def test_rollout_of_an_end_effector_policy_on_the_end_effector_robot(act_for_poses, mimicik_run):
-    output = run_lerobot(
-        "scripts.lerobot_rollout",
+    output = run_console(
+        "lerobot-rollout",
         f"--policy.path={act_for_poses}",
         *ee_robot(mimicik_run),
         "--fps=20",
@@ -48,8 +48,8 @@ def test_rollout_of_an_end_effector_policy_on_the_end_effector_robot(act_for_pos
 
 def test_rollout_of_a_wrapped_policy_on_the_joint_space_robot(act_run, mimicik_run, tmp_path):
     wrapped = wrap_checkpoint(str(act_run), str(mimicik_run), tmp_path / "act_joints")
-    output = run_lerobot(
-        "scripts.lerobot_rollout",
+    output = run_here(
+        "lerobot.scripts.lerobot_rollout",
         f"--policy.path={wrapped}",
         "--robot.type=airbot_play",
         "--robot.interface=virtual",
@@ -66,8 +66,8 @@ def test_rollout_of_a_wrapped_policy_on_the_joint_space_robot(act_run, mimicik_r
 def test_record_with_a_teleoperator_then_replay(mimicik_run, tmp_path):
     recorded = tmp_path / "recorded"
     dataset = ["--dataset.repo_id=local/recorded", f"--dataset.root={recorded}"]
-    run_lerobot(
-        "scripts.lerobot_record",
+    run_here(
+        "lerobot.scripts.lerobot_record",
         *ee_robot(mimicik_run),
         "--teleop.type=recorded_motion",
         f"--teleop.dataset_root={mimicik_run.parent / 'data' / 'test'}",
@@ -88,8 +88,8 @@ def test_record_with_a_teleoperator_then_replay(mimicik_run, tmp_path):
     assert len(state) > 5  # many more on a free computer
     # How near it comes to a moving target in five seconds depends on how busy the computer is; it does move.
     assert np.abs(state[:, :3] - state[0, :3]).max() > 0.01
-    output = run_lerobot(
-        "scripts.lerobot_replay",
+    output = run_here(
+        "lerobot.scripts.lerobot_replay",
         *ee_robot(mimicik_run),
         *dataset,
         "--dataset.episode=0",
@@ -99,8 +99,8 @@ def test_record_with_a_teleoperator_then_replay(mimicik_run, tmp_path):
 
 
 def test_teleoperate_in_joint_space(mimicik_run):
-    output = run_lerobot(
-        "scripts.lerobot_teleoperate",
+    output = run_here(
+        "lerobot.scripts.lerobot_teleoperate",
         "--robot.type=airbot_play",
         "--robot.interface=virtual",
         "--robot.gripper=false",
@@ -119,12 +119,14 @@ def test_asynchronous_inference(act_for_poses, mimicik_run, tmp_path):
         port = probe.getsockname()[1]
     served, driven = tmp_path / "server.log", tmp_path / "client.log"
     with served.open("w") as server_log, driven.open("w") as client_log:
-        server = _start("policy_server", server_log, "--host=127.0.0.1", f"--port={port}")
+        # They write logs into the folder that they run in.
+        server = _start("policy_server", tmp_path, server_log, "--host=127.0.0.1", f"--port={port}")
         client = None
         try:
             _wait(lambda: _listens(port), f"nobody listens on port {port}", served)
             client = _start(
                 "robot_client",
+                tmp_path,
                 client_log,
                 f"--server_address=127.0.0.1:{port}",
                 *ee_robot(mimicik_run),
@@ -149,9 +151,9 @@ def test_asynchronous_inference(act_for_poses, mimicik_run, tmp_path):
     assert "ArmStopped" not in output, output[-4000:]
 
 
-def _start(module: str, log, *options: str) -> subprocess.Popen:
+def _start(module: str, folder, log, *options: str) -> subprocess.Popen:
     command = [sys.executable, "-m", f"lerobot.async_inference.{module}", *options]
-    return subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+    return subprocess.Popen(command, cwd=folder, stdout=log, stderr=subprocess.STDOUT)
 
 
 def _listens(port: int) -> bool:

@@ -46,13 +46,18 @@ def connected(tmp_path):
 
 
 def follow(robot, key: str, change: float, frames: int = 12) -> dict:
-    """Moves one number smoothly; what was sent last."""
+    """Moves one number smoothly, and holds there until most of the way is made; what was sent last.
+
+    A busy computer simulates arms slower than they move: ten seconds are given.
+    """
     start = robot.get_observation()
-    for frame in range(1, frames + 1):
+    for frame in range(1, frames + 200):
         action = {name: start[name] for name in robot.action_features}
-        action[key] += change * frame / frames
+        action[key] += change * min(frame / frames, 1.0)
         sent = robot.send_action(action)
         time.sleep(0.05)
+        if frame >= frames and abs(robot.get_observation()[key] - start[key]) > 0.8 * abs(change):
+            break
     return sent
 
 

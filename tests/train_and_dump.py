@@ -18,7 +18,7 @@ def main() -> None:
         cpu=True,
     )
     train(accelerator=accelerator)
-    policy = accelerator.unwrap_model(accelerator._models[0])
+    policy = accelerator.unwrap_model(accelerator._models[-1])
     weights = {name: value.contiguous() for name, value in policy.state_dict().items()}
     save_file(weights, os.path.join(os.environ["DUMP"], f"rank{accelerator.process_index}.safetensors"))
 

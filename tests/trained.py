@@ -1,10 +1,10 @@
-"""Checkpoints that the tests of the arm's side share, trained by `lerobot-train` itself in about a minute each."""
+"""Checkpoints that the tests of the arm's side share, trained by `lerobot-train` itself in half a minute each."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
+
+from lerobot_commands import run_here
 
 from lerobot_mimicik.data.synthetic import make_synthetic
 from lerobot_mimicik.kinematics.arms import describe_arm
@@ -12,25 +12,11 @@ from lerobot_mimicik.kinematics.arms import describe_arm
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-def run_lerobot(command: str, *options: str, timeout: float = 300) -> str:
-    """Runs a stock LeRobot command in a process of its own; what it printed. AssertionError if it fails."""
-    done = subprocess.run(
-        [sys.executable, "-m", f"lerobot.{command}", *options],
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
-    )
-    output = done.stdout + done.stderr
-    assert done.returncode == 0, output[-6000:]
-    return output
-
-
 def train_mimicik(folder: Path) -> Path:
     """A small MimicIK policy of the AIRBOT Play: its training run's folder. Data in `folder`/data."""
     make_synthetic(folder / "data", 24, describe_arm("airbot_play"), seed=3, workers=2, progress=False)
-    run_lerobot(
-        "scripts.lerobot_train",
+    run_here(
+        "lerobot.scripts.lerobot_train",
         f"--config_path={REPOSITORY / 'configs' / 'small.json'}",
         f"--dataset.root={folder / 'data' / 'train'}",
         f"--output_dir={folder / 'mimicik'}",
@@ -50,8 +36,8 @@ def train_act(folder: Path) -> Path:
     make_synthetic(
         folder / "ee", 12, describe_arm("airbot_play"), seed=4, ood=False, progress=False, space="ee"
     )
-    run_lerobot(
-        "scripts.lerobot_train",
+    run_here(
+        "lerobot.scripts.lerobot_train",
         "--policy.type=act",
         "--policy.push_to_hub=false",
         "--policy.device=cpu",

@@ -4,14 +4,13 @@ Everything is kept in the output folder, and running the command again goes on w
 
     train/<row>-seed<n>/   run/ is what `lerobot-train` writes, logs/ what it prints
     summary.json           every row measured so far, saved after each, and what each training cost
+    anatomy/<row>.npz      its commands through singularities and out of reach
     table.json, table.md   the rows asked for, learned ones over their seeds
-    figures/               the same as PNG
+    figures/               the same as PNG, a caption beside each
 """
 
 from __future__ import annotations
 
-import json
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,12 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 import draccus
 
-from lerobot_mimicik.cli import training_process
-from lerobot_mimicik.cli.options import words
+from lerobot_mimicik.cli.options import numbers, words
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.evaluation.bench import LearnedRow, Summary
+    from lerobot_mimicik.evaluation.anatomy import Ordeal
+    from lerobot_mimicik.evaluation.bench import Summary
     from lerobot_mimicik.evaluation.evaluate import Recording
+    from lerobot_mimicik.evaluation.plots import Plot
     from lerobot_mimicik.kinematics.arms import ArmDescription
     from lerobot_mimicik.kinematics.chain import SerialArm
 
@@ -39,6 +39,15 @@ class BenchConfig:
     datasets: str = ""
     # Folder of the LeRobot dataset to train on, made by mimicik make-dataset: it names the arm.
     train: str = ""
+    # The datasets' arm where they do not say: a shipped one (airbot_play, piper) or the path of a URDF.
+    urdf: str = ""
+    # rad or deg: the datasets' joints.
+    joint_units: str = "rad"
+    # Target joints are the recorded action, or the next_state.
+    target: str = "action"
+    # Episodes to train on and to measure on, as numbers and ranges such as 0-9,12; empty: all of them.
+    train_episodes: str = ""
+    episodes: str = ""
     # Rows: solvers by name, and the learned mimicik, mlp and unet_diffusion, each also with _nofk (no FK loss)
     # or _fk0.2 (that weight of it).
     solvers: str = "mimicik,mimicik_nofk,mlp,unet_diffusion,hold"
@@ -79,11 +88,12 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
     """
     import torch
 
-    from lerobot_mimicik.data.writer import read_arm_json
+    from lerobot_mimicik.cli.bench_training import prepare_trainings, train_row
+    from lerobot_mimicik.evaluation.anatomy import make_ordeals
     from lerobot_mimicik.evaluation.bench import LearnedRow, Summary, learned_names
     from lerobot_mimicik.evaluation.evaluate import study
     from lerobot_mimicik.evaluation.rollouts import known_modes
-    from lerobot_mimicik.evaluation.trajectories import distinct_names, load_trajectories
+    from lerobot_mimicik.evaluation.trajectories import Layout, distinct_names, load_trajectories
     from lerobot_mimicik.kinematics.chain import SerialArm
     from lerobot_mimicik.solvers import known_solvers
 
@@ -105,11 +115,14 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
                 f"--solvers: unknown {name}; known are {learned_names()}, and {', '.join(others)}."
             )
     out = Path(config.out)
-    trained = _prepare_trainings(config, out, [row for row in rows.values() if row is not None])
-    description = read_arm_json(config.train)
+    description = _arm(config)
+    trainings = prepare_trainings(config, description, [row for row in rows.values() if row is not None])
     arm = SerialArm(description, dtype=torch.float64)
+    layout = Layout(joint_units=config.joint_units, target=config.target)
+    episodes = numbers(config.episodes, "--episodes") or None
+    ordeals = make_ordeals(description) if description.home else []
     recordings = [
-        study(arm, load_trajectories(root, arm, name=name))
+        study(arm, load_trajectories(root, arm, layout, episodes, name))
         for root, name in zip(roots, distinct_names(roots), strict=True)
     ]
     summary = Summary(out / "summary.json")
@@ -118,115 +131,34 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
         for seed in range(config.seeds if row is not None else 1):
             policy: str | None = None
             if row is not None:
-                run_folder, arguments = trained[name, seed]
+                training = trainings[name, seed]
                 try:
-                    _train(config, row, seed, run_folder, arguments, summary)
+                    train_row(training, summary)
                 except RuntimeError as error:
                     # The other rows are still worth having; the exit status tells.
                     failed = True
                     summary.unavailable[name] = f"training failed: {str(error).splitlines()[0]}"
                     print(f"{name}, seed {seed}: {error}", flush=True)
                     break
-                policy = str(run_folder)
-            if not _measure(config, name, seed, policy, arm, recordings, modes, summary, progress):
+                policy = str(training.run)
+            if not _measure(config, name, seed, policy, arm, recordings, modes, ordeals, summary, progress):
                 break
             _write(config, out, names, modes, recordings, summary)
     _write(config, out, names, modes, recordings, summary)
+    _write_anatomy(out, names, arm, ordeals)
     return failed
 
 
-def _prepare_trainings(
-    config: BenchConfig, out: Path, rows: Sequence[LearnedRow]
-) -> dict[tuple[str, int], tuple[Path, list[str]]]:
-    """Output folder and command line of every training, by row and seed.
+def _arm(config: BenchConfig) -> ArmDescription:
+    """The arm of --urdf, else that of the training data."""
+    from lerobot_mimicik.data.writer import ARM_FILE, read_arm_json
+    from lerobot_mimicik.kinematics.arms import describe_arm
 
-    Raises:
-        ValueError: If a row was trained with other options before.
-    """
-    from lerobot_mimicik.data.writer import read_arm_json
-
-    if not rows:
-        return {}
-    description = read_arm_json(config.train)
-    out.mkdir(parents=True, exist_ok=True)
-    urdf = out / "arm.urdf"
-    urdf.write_text(description.urdf)
-    prepared = {}
-    for row in rows:
-        name = row.recipe(config.size)
-        recipe = training_process.find_recipe(str(Path(config.recipes) / name) if config.recipes else name)
-        for seed in range(config.seeds):
-            folder = out / "train" / f"{row.name}-seed{seed}"
-            arguments = [
-                f"--config_path={recipe}",
-                f"--dataset.repo_id=local/{Path(config.train).resolve().name}",
-                f"--dataset.root={config.train}",
-                f"--output_dir={folder / 'run'}",
-                f"--steps={_steps(config, recipe)}",
-                f"--seed={seed}",
-                *_arm_options(urdf, description),
-                *row.options(),
-                *([f"--policy.conditioning={config.conditioning}"] if config.conditioning else []),
-                *([f"--policy.device={config.device}"] if config.device else []),
-            ]
-            kept = folder / "arguments.json"
-            asked = {"arguments": arguments, "recipe": json.loads(recipe.read_text())}
-            begun = training_process.last_step(folder / "run") > 0 and kept.is_file()
-            if begun and json.loads(kept.read_text()) != asked:
-                raise ValueError(
-                    f"{folder} was trained with other options ({kept}): take another --out, or remove it."
-                )
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_text(json.dumps(asked, indent=2) + "\n")
-            prepared[row.name, seed] = (folder / "run", arguments)
-    return prepared
-
-
-def _arm_options(urdf: Path, arm: ArmDescription) -> list[str]:
-    return [
-        f"--policy.urdf={urdf}",
-        f"--policy.base_link={arm.base_link}",
-        f"--policy.tip_link={arm.tip_link}",
-        f"--policy.joint_names={json.dumps(list(arm.joint_names))}",
-        f"--policy.tool_offset={json.dumps(list(arm.tool_offset))}",
-    ]
-
-
-def _steps(config: BenchConfig, recipe: Path) -> int:
-    return config.steps or int(json.loads(recipe.read_text())["steps"])
-
-
-def _train(
-    config: BenchConfig, row: LearnedRow, seed: int, run_folder: Path, arguments: list[str], summary: Summary
-) -> None:
-    """Train a row's policy to its end, and note the time it took, over all interruptions."""
-    from lerobot_mimicik.evaluation.report import machine
-
-    recipe = training_process.find_recipe(arguments[0].partition("=")[2])
-    steps = _steps(config, recipe)
-    if training_process.last_step(run_folder) >= steps:
-        return
-    print(f"Training {row.name}, seed {seed}: {steps} steps", flush=True)
-    key = f"{row.name}-seed{seed}"
-    before = summary.training.get(key, {}).get("minutes", 0.0)
-    begin = time.monotonic()
-    log_freq = int(json.loads(recipe.read_text()).get("log_freq", 200))
-    try:
-        training_process.train_or_resume(arguments, run_folder, steps, log_freq, run_folder.parent / "logs")
-    finally:
-        host: dict[str, Any] = machine()
-        summary.training[key] = {
-            "steps": training_process.last_step(run_folder),
-            "minutes": before + (time.monotonic() - begin) / 60,
-            "machine": f"{host['processor']}, device {_device_of(run_folder) or 'unknown'}",
-            "command": training_process.shown(arguments),
-        }
-        summary.save()
-
-
-def _device_of(run_folder: Path) -> str | None:
-    file = run_folder / "checkpoints" / "last" / "pretrained_model" / "config.json"
-    return json.loads(file.read_text())["device"] if file.is_file() else None
+    if config.urdf:
+        return describe_arm(config.urdf)
+    if not (Path(config.train) / ARM_FILE).is_file():
+        raise ValueError(f"{config.train} does not name its arm ({ARM_FILE}): which is it? --urdf=...")
+    return read_arm_json(config.train)
 
 
 def _measure(
@@ -237,10 +169,12 @@ def _measure(
     arm: SerialArm,
     recordings: Sequence[Recording],
     modes: Sequence[str],
+    ordeals: Sequence[Ordeal],
     summary: Summary,
     progress: bool,
 ) -> bool:
     """Measure one solver wherever it was not measured before; False if it cannot be had."""
+    from lerobot_mimicik.evaluation.anatomy import save_commands, undergo
     from lerobot_mimicik.evaluation.evaluate import evaluate
     from lerobot_mimicik.solvers import make_solver
 
@@ -248,9 +182,11 @@ def _measure(
         (recording, mode)
         for recording in recordings
         for mode in modes
-        if summary.find(name, seed, str(recording.set.root), mode) is None
+        if summary.find(name, seed, _place(config, recording), mode) is None
     ]
-    if not missing:
+    commands = _commands_file(Path(config.out), name)
+    undergoes = bool(ordeals) and seed == 0 and not commands.is_file()
+    if not missing and not undergoes:
         return True
     options: dict[str, Any] = {}
     if policy is not None:
@@ -265,8 +201,35 @@ def _measure(
         for evaluation in evaluate(
             arm, {name: solver}, [recording], [mode], config.latency_queries, seed, progress
         ):
-            summary.add(evaluation, seed, str(recording.set.root))
+            summary.add(evaluation, seed, _place(config, recording))
+    if undergoes:
+        save_commands(commands, undergo(solver, ordeals))
     return True
+
+
+def _place(config: BenchConfig, recording: Recording) -> str:
+    """What was measured on, as the summary knows it."""
+    return str(recording.set.root) + (f", episodes {config.episodes}" if config.episodes else "")
+
+
+def _commands_file(out: Path, name: str) -> Path:
+    return out / "anatomy" / f"{name}.npz"
+
+
+def _write_anatomy(out: Path, names: Sequence[str], arm: SerialArm, ordeals: Sequence[Ordeal]) -> None:
+    """The figure of the standard motions, learned rows with their first seed."""
+    from lerobot_mimicik.evaluation.anatomy import load_commands
+    from lerobot_mimicik.evaluation.bench_plots import plot_anatomy
+    from lerobot_mimicik.evaluation.metrics import measure
+
+    files = {name: _commands_file(out, name) for name in names}
+    traces = {
+        name: measure(arm, list(load_commands(file, ordeals).values()))
+        for name, file in files.items()
+        if ordeals and file.is_file()
+    }
+    if traces:
+        _save_plots(out, [plot_anatomy(ordeals, traces, arm.joint_names)])
 
 
 def _write(
@@ -280,11 +243,11 @@ def _write(
     """The table and figures of what was asked for, as far as it is measured."""
     from lerobot_mimicik.configuration_mimicik import MimicIKConfig
     from lerobot_mimicik.evaluation.bench import write_table
-    from lerobot_mimicik.evaluation.bench_plots import plot_errors, plot_fk_weights
+    from lerobot_mimicik.evaluation.bench_plots import plot_errors, plot_fk_weights, plot_seeds
     from lerobot_mimicik.evaluation.report import describe_recording
 
     asked = [
-        (summary.find(name, seed, str(recording.set.root), mode), recording.set.name)
+        (summary.find(name, seed, _place(config, recording), mode), recording.set.name)
         for recording in recordings
         for mode in modes
         for name in names
@@ -301,7 +264,13 @@ def _write(
     summary.save()
     write_table(out, rows, summary.training, summary.unavailable, asdict(config) | {"datasets": about}, notes)
     if rows:
-        plots = [*plot_errors(rows), plot_fk_weights(rows, MimicIKConfig.fk_weight)]
-        for plot in plots:
-            if plot is not None:
-                plot.save(out / "figures")
+        _save_plots(
+            out, [*plot_errors(rows), plot_fk_weights(rows, MimicIKConfig.fk_weight), plot_seeds(rows)]
+        )
+
+
+def _save_plots(out: Path, plots: Sequence[Plot | None]) -> None:
+    """Figures that can be drawn, as PNG with the caption beside it."""
+    for plot in plots:
+        if plot is not None:
+            plot.save(out / "figures").with_suffix(".txt").write_text(f"{plot.title}\n\n{plot.caption}\n")

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_mimicik.evaluation.anatomy import FPS, Ordeal
 from lerobot_mimicik.evaluation.bench import LearnedRow
+from lerobot_mimicik.evaluation.metrics import ESTOP_RAD, JOINT_SPIKE_RAD, Trace
 from lerobot_mimicik.evaluation.plots import COLOURS, Plot, finished, mode_title, new_figure
 from lerobot_mimicik.evaluation.verdict import RETURNED_MM
 
@@ -98,3 +100,97 @@ def plot_fk_weights(rows: Sequence[Mapping[str, Any]], default_weight: float) ->
     panels[-1].legend(fontsize=7)
     caption = f"Error over the weight of the FK consistency loss, {len(ticks)} weights, means over seeds."
     return finished("fk_weights", "Weight of the FK consistency loss", figure, caption)
+
+
+def plot_seeds(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
+    """Mean error of every training with and without the FK loss, or None without two seeds of both.
+
+    Args:
+        rows: Of the benchmark, seeds apart.
+    """
+    names = ("mimicik", "mimicik_nofk")
+    panels_of = list(dict.fromkeys((row["dataset"], row["mode"]) for row in rows if row["solver"] in names))
+    values = {
+        (place, name): [
+            row["mean_mm"]
+            for row in rows
+            if (row["dataset"], row["mode"]) == place and row["solver"] == name and row["mean_mm"] is not None
+        ]
+        for place in panels_of
+        for name in names
+    }
+    if not panels_of or min(map(len, values.values())) < 2:
+        return None
+    figure = new_figure(1.2 + 2.5 * len(panels_of), 3.0)
+    panels = np.atleast_1d(figure.subplots(1, len(panels_of)))
+    sentences = []
+    for panel, place in zip(panels, panels_of, strict=True):
+        spreads = []
+        for number, name in enumerate(names):
+            found = np.array(values[place, name])
+            spreads.append(float(found.std(ddof=1)))
+            panel.plot(np.full(len(found), number), found, "o", color=COLOURS[number], markersize=5)
+            panel.errorbar(number + 0.2, found.mean(), spreads[-1], fmt="_", color=COLOURS[number], capsize=4)
+        panel.set_xticks(range(len(names)), ["with FK loss", "without"])
+        panel.set(xlim=(-0.5, 1.6), ylim=(0, None), title=f"{place[0]}, {mode_title(place[1])}")
+        sentences.append(
+            f"on {place[0]} in {mode_title(place[1])} the deviation over seeds is {spreads[0]:.3g} mm with and "
+            f"{spreads[1]:.3g} mm without the FK loss"
+        )
+    panels[0].set_ylabel("mean error [mm]")
+    caption = f"A dot is one training, beside it mean and standard deviation: {'; '.join(sentences)}."
+    return finished("fk_seeds", "Spread between seeds with and without the FK loss", figure, caption)
+
+
+def plot_anatomy(
+    ordeals: Sequence[Ordeal], traces: Mapping[str, Sequence[Trace]], joint_names: Sequence[str]
+) -> Plot:
+    """What each solver did in the standard motions: a joint, the joint step and the error, a row a motion.
+
+    Args:
+        ordeals: The motions.
+        traces: Of every solver, in the motions' order.
+        joint_names: Of the arm.
+    """
+    figure = new_figure(11.0, 2.2 * len(ordeals))
+    grid = np.atleast_2d(figure.subplots(len(ordeals), 3))
+    sentences = []
+    for number, (ordeal, (joint_panel, step_panel, error_panel)) in enumerate(
+        zip(ordeals, grid, strict=True)
+    ):
+        seconds = (np.arange(len(ordeal.trajectory)) - ordeal.worst) / FPS
+        commands = {name: found[number].rollout.q_cmd for name, found in traces.items()}
+        # The joint on which the solvers agree least.
+        stacked = np.stack(list(commands.values()))
+        spread = np.nan_to_num(np.nanmax(stacked, axis=0) - np.nanmin(stacked, axis=0)).max(axis=0)
+        joint = int(spread.argmax())
+        for index, (name, found) in enumerate(traces.items()):
+            line = {
+                "color": COLOURS[index % len(COLOURS)],
+                "linestyle": _STYLES[index // len(COLOURS) % len(_STYLES)],
+                "linewidth": 1.0,
+                "label": name,
+            }
+            joint_panel.plot(seconds, commands[name][:, joint], **line)
+            step_panel.plot(seconds, np.maximum(found[number].max_dq, 1e-4), **line)
+            error_panel.plot(seconds, np.maximum(found[number].position_mm, 1e-3), **line)
+            largest = np.nanmax(found[number].max_dq)
+            if largest > JOINT_SPIKE_RAD * (1 + 1e-6):
+                sentences.append(f"{name} {largest:.2f} rad ({ordeal.name})")
+        joint_panel.set(ylabel=f"{joint_names[joint]} [rad]")
+        joint_panel.set_title(ordeal.name, loc="left")
+        step_panel.set(yscale="log", ylabel="joint step [rad]")
+        for limit in (JOINT_SPIKE_RAD, ESTOP_RAD):
+            step_panel.axhline(limit, color="#777777", linewidth=0.8)
+        error_panel.set(yscale="log", ylabel="error [mm]")
+        error_panel.axhline(RETURNED_MM, color="#777777", linewidth=0.8)
+    for panel in grid[-1]:
+        panel.set_xlabel("time from the worst point [s]")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
+    caption = (
+        "Each motion passes through one kind of singularity, or leaves the reach and returns; solvers see the poses "
+        "only, in closed loop. Shown is the joint on which they agree least. Grey lines: 0.1 and 0.5 rad, 10 mm. "
+        + (f"Steps over 0.1 rad: {', '.join(sentences)}." if sentences else "No step is over 0.1 rad.")
+    )
+    return finished("anatomy", "Through singularities and out of reach", figure, caption)

@@ -107,7 +107,11 @@ def make_evaluation(
     """The row of one solver on one dataset in one mode, and what it rests on."""
     row: dict[str, Any] = {"solver": name, "mode": mode, "dataset": recording.set.name}
     row |= summarise(traces)
-    row |= {"latency_ms_median": latency.median_ms, "latency_ms_p99": latency.p99_ms}
+    row |= {
+        "latency_ms_median": latency.median_ms,
+        "latency_ms_p99": latency.p99_ms,
+        "energy_mj": latency.energy_mj,
+    }
     verdicts: list[Verdict] = []
     if mode == "open_loop":
         # Its commands have no consequences, so there is nothing to judge.

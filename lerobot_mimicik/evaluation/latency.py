@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lerobot_mimicik.evaluation.energy import EnergyMeter
 from lerobot_mimicik.evaluation.trajectories import Trajectory
 from lerobot_mimicik.solvers.base import IKSolver
 
@@ -15,11 +16,15 @@ WARM_UP_QUERIES = 20
 
 @dataclass(frozen=True)
 class Latency:
-    """Duration of one query at batch 1, in ms, over ``queries`` queries after a warm-up."""
+    """Duration of one query at batch 1, in ms, over ``queries`` queries after a warm-up.
+
+    ``energy_mj`` is the machine's energy for one, in mJ; None where it does not tell.
+    """
 
     median_ms: float
     p99_ms: float
     queries: int
+    energy_mj: float | None = None
 
 
 def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200) -> Latency:
@@ -38,12 +43,21 @@ def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200
     single = slice(0, 1) if solver.batched else 0
     solver.reset(trajectory.q[single])
     seconds = np.empty(WARM_UP_QUERIES + queries)
+    meter = EnergyMeter()
     for i in range(len(seconds)):
+        if i == WARM_UP_QUERIES:
+            meter = EnergyMeter()
         t = i % len(trajectory)
         row = slice(t, t + 1) if solver.batched else t
         q_curr, target = trajectory.q[row], trajectory.target[row]
         begin = time.perf_counter()
         solver.solve(q_curr, target)
         seconds[i] = time.perf_counter() - begin
+    joules = meter.joules()
     milliseconds = 1e3 * seconds[WARM_UP_QUERIES:]
-    return Latency(float(np.median(milliseconds)), float(np.percentile(milliseconds, 99)), queries)
+    return Latency(
+        float(np.median(milliseconds)),
+        float(np.percentile(milliseconds, 99)),
+        queries,
+        None if joules is None else 1e3 * joules / queries,
+    )

@@ -33,6 +33,7 @@ _COLUMNS = (
     ("p95_mm", "P95 [mm]", ".2f"),
     ("max_mm", "max [mm]", ".1f"),
     ("rot_mean_deg", "rot. mean [deg]", ".2f"),
+    ("rot_p95_deg", "rot. P95 [deg]", ".2f"),
     ("sr1", "SR@1mm [%]", ".1f"),
     ("sr5", "SR@5mm [%]", ".1f"),
     ("sr10", "SR@10mm [%]", ".2f"),
@@ -45,6 +46,7 @@ _COLUMNS = (
     ("jerk", "jerk [rad/frame^3]", ".4f"),
     ("latency_ms_median", "median [ms]", ".2f"),
     ("latency_ms_p99", "p99 [ms]", ".2f"),
+    ("energy_mj", "energy [mJ]", ".2f"),
     ("verdict", "verdict", "s"),
 )
 
@@ -159,7 +161,7 @@ def cells(row: Mapping[str, Any], spread: Mapping[str, float] | None = None) -> 
     """A row's cells as text, in the order of ``headings``; ``spread`` is added to the values it has."""
     spread = spread or {}
     return [
-        _format(row[key], form) + (f" ± {spread[key]:{form}}" if key in spread else "")
+        _format(row.get(key), form) + (f" ± {spread[key]:{form}}" if key in spread else "")
         for key, _, form in _COLUMNS
     ]
 

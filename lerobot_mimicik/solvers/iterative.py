@@ -38,7 +38,9 @@ class IterativeSolver(IKSolver):
     to the next.
     """
 
-    def __init__(self, arm: SerialArm, iterations: int, tolerance: float, max_step: float) -> None:
+    def __init__(
+        self, arm: SerialArm, iterations: int = 20, tolerance: float = 1e-6, max_step: float = MAX_STEP
+    ) -> None:
         """
         Args:
             arm: The arm to solve for.

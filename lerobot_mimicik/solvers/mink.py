@@ -20,73 +20,38 @@ from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.availability import from_extra
 from lerobot_mimicik.solvers.base import Array, register_solver
 from lerobot_mimicik.solvers.chain_urdf import TOOL, chain_urdf, pose_matrix
-from lerobot_mimicik.solvers.iterative import MAX_STEP, IterativeSolver
+from lerobot_mimicik.solvers.frame_task import FrameTaskSolver
 
 MUJOCO, MINK, DAQP = from_extra("mujoco"), from_extra("mink"), from_extra("daqp")
 
 
 @register_solver("mink", needs=(MUJOCO, MINK, DAQP))
-class MinkSolver(IterativeSolver):
+class MinkSolver(FrameTaskSolver):
     """Differential inverse kinematics with a frame task, iterated; see the module."""
 
     name = "mink"
 
-    def __init__(
-        self,
-        arm: SerialArm,
-        iterations: int = 20,
-        tolerance: float = 1e-6,
-        max_step: float = MAX_STEP,
-        position_cost: float = 1.0,
-        orientation_cost: float = 1.0,
-        lm_damping: float = 1e-3,
-        damping: float = 1e-9,
-        qp_solver: str = "daqp",
-    ) -> None:
+    def __init__(self, arm: SerialArm, **options: Any) -> None:
         """
         Args:
             arm: The arm to solve for.
-            iterations, tolerance, max_step: See ``IterativeSolver``.
-            position_cost, orientation_cost: Of the task, per m and per rad.
-            lm_damping: The task's damping per squared error.
-            damping: Of all joints, always.
-            qp_solver: A name that ``qpsolvers`` knows.
+            options: See ``FrameTaskSolver``.
         """
-        super().__init__(arm, iterations, tolerance, max_step)
-        self.damping, self.qp_solver = damping, qp_solver
-        self._mink: Any = MINK.load()
+        super().__init__(arm, **options)
+        self._package = MINK.load()
         model = _compile(arm.description)
         self._index = np.array([model.joint(name).qposadr[0] for name in arm.joint_names])
-        self._task = self._mink.FrameTask(
-            TOOL,
-            "body",
-            position_cost=position_cost,
-            orientation_cost=orientation_cost,
-            lm_damping=lm_damping,
-        )
-        self._limit = self._mink.ConfigurationLimit(model, gain=1.0)
-        self._configuration = self._mink.Configuration(model)
+        self._task = self._package.FrameTask(TOOL, "body", **self.costs)
+        self._limits = [self._package.ConfigurationLimit(model, gain=1.0)]
+        self._configuration = self._package.Configuration(model)
 
     def _start(self, q: Array, target_pose: Array, lower: Array, upper: Array) -> None:
-        self._limit.lower[self._index], self._limit.upper[self._index] = lower, upper
-        self._task.set_target(self._mink.SE3.from_matrix(pose_matrix(target_pose)))
+        (limit,) = self._limits
+        limit.lower[self._index], limit.upper[self._index] = lower, upper
+        self._task.set_target(self._package.SE3.from_matrix(pose_matrix(target_pose)))
         q_model = np.empty(len(q))
         q_model[self._index] = q
         self._configuration.update(q_model)
-
-    def _error(self) -> float:
-        return float(np.linalg.norm(self._task.compute_error(self._configuration)))
-
-    def _improve(self) -> None:
-        displacement = self._mink.solve_ik(
-            self._configuration,
-            [self._task],
-            dt=1.0,
-            solver=self.qp_solver,
-            damping=self.damping,
-            limits=[self._limit],
-        )
-        self._configuration.integrate_inplace(displacement, 1.0)
 
     def _joints(self) -> Array:
         return np.array(self._configuration.q)[self._index]

@@ -14,11 +14,13 @@ convergence, with neither damping nor limits nor a bound on the step.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
-from lerobot_mimicik.solvers.iterative import MAX_STEP, IterativeSolver
+from lerobot_mimicik.solvers.iterative import IterativeSolver
 from lerobot_mimicik.solvers.pinocchio_model import PINOCCHIO, PinocchioModel
 
 
@@ -29,22 +31,16 @@ class PinocchioSolver(IterativeSolver):
     name = "pinocchio"
 
     def __init__(
-        self,
-        arm: SerialArm,
-        iterations: int = 20,
-        tolerance: float = 1e-6,
-        max_step: float = MAX_STEP,
-        damping: float = 1e-6,
-        error_damping: float = 1e-3,
+        self, arm: SerialArm, damping: float = 1e-6, error_damping: float = 1e-3, **iteration: Any
     ) -> None:
         """
         Args:
             arm: The arm to solve for.
-            iterations, tolerance, max_step: See ``IterativeSolver``.
             damping: Added to the diagonal of J^T J.
             error_damping: Added to it too, times the squared norm of the error.
+            iteration: See ``IterativeSolver``.
         """
-        super().__init__(arm, iterations, tolerance, max_step)
+        super().__init__(arm, **iteration)
         self.damping, self.error_damping = damping, error_damping
         self._library = PinocchioModel(arm.description)
 

@@ -22,7 +22,7 @@ from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.availability import from_extra
 from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
 from lerobot_mimicik.solvers.chain_urdf import TOOL, chain_urdf_file, pose_matrix
-from lerobot_mimicik.solvers.iterative import MAX_STEP, IterativeSolver
+from lerobot_mimicik.solvers.iterative import IterativeSolver
 
 PLACO = from_extra("placo")
 
@@ -68,21 +68,19 @@ class PlacoSolver(IterativeSolver):
     def __init__(
         self,
         arm: SerialArm,
-        iterations: int = 20,
-        tolerance: float = 1e-6,
-        max_step: float = MAX_STEP,
         position_weight: float = 1.0,
         orientation_weight: float = 1.0,
         regularization: float = 1e-6,
+        **iteration: Any,
     ) -> None:
         """
         Args:
             arm: The arm to solve for.
-            iterations, tolerance, max_step: See ``IterativeSolver``.
             position_weight, orientation_weight: Of the frame task.
             regularization: Weight on the squared displacement.
+            iteration: See ``IterativeSolver``.
         """
-        super().__init__(arm, iterations, tolerance, max_step)
+        super().__init__(arm, **iteration)
         placo: Any = PLACO.load()
         with chain_urdf_file(arm.description) as path:
             self._robot = placo.RobotWrapper(path, placo.Flags.ignore_collisions)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import logging
-import sys
 import threading
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
+from robot_adapters.airbot import real_time
 from robot_adapters.airbot.bus import BusError, open_bus, unread
 from robot_adapters.airbot.control import ArmMode, ControlLoop
 from robot_adapters.airbot.gravity import GravityModel
@@ -34,7 +34,6 @@ from robot_adapters.signals import SignalGuard
 
 _log = logging.getLogger(__name__)
 _FIRST_FEEDBACK = 0.25  # s
-_SWITCH_INTERVAL = 5e-4  # s
 
 
 class NotConnectedError(ConnectionError):
@@ -216,6 +215,7 @@ class AirbotArm:
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout=10.0)
             self._thread = None
+            real_time.leave()
         if self._loop is not None:
             self._last_statistics = self.statistics()
             self._loop = None
@@ -267,14 +267,13 @@ class AirbotArm:
         if isinstance(self.clock, SimulatedClock):
             self._schedule = self.clock.every(1.0 / self.settings.rate, loop.tick)
         else:
-            # By default a thread may keep the interpreter for 5 ms, longer than a period of this loop.
-            sys.setswitchinterval(min(sys.getswitchinterval(), _SWITCH_INTERVAL))
+            real_time.enter()
             self._thread = threading.Thread(
                 target=self._run, args=(loop,), name="airbot-control", daemon=True
             )
             self._thread.start()
         until = self.clock.monotonic() + _FIRST_FEEDBACK
-        while not np.all(np.isfinite(loop.table.joints()[0])) and self.clock.monotonic() < until:
+        while not loop.table.complete and self.clock.monotonic() < until:
             self.clock.sleep(0.002)
 
     def _run(self, loop: ControlLoop) -> None:

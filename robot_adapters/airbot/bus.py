@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from typing import Any
@@ -46,6 +47,7 @@ def open_bus(interface: str, channel: str | None = None, **options: Any) -> can.
         options.setdefault("fd", False)
     else:
         options.setdefault("bitrate", BITRATE)
+    _quieten()
     try:
         return can.Bus(interface=interface, channel=channel, receive_own_messages=False, **options)
     except (can.CanError, OSError, ImportError, ValueError) as error:
@@ -53,6 +55,17 @@ def open_bus(interface: str, channel: str | None = None, **options: Any) -> can.
             channel=channel
         )
         raise BusError(f"cannot open CAN bus {interface}:{channel} ({error}); {remedy}") from error
+
+
+def _quieten() -> None:
+    """Keep python-can from logging each of the thousands of frames a second, unless its level was chosen.
+
+    LeRobot sets the root logger to let everything through, so that a record would be made of every frame and
+    thrown away by the handlers.
+    """
+    logger = logging.getLogger("can")
+    if logger.level == logging.NOTSET:
+        logger.setLevel(logging.INFO)
 
 
 def reports_bus_off(message: can.Message) -> bool:

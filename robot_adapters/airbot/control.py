@@ -78,7 +78,8 @@ class ControlLoop:
         self.bus, self.clock, self.gate, self.settings = bus, clock, gate, settings
         self.motors, self.dof = motors, len(gate.joint_names)
         self.limits = gate.limits
-        self.table = FeedbackTable(motors, self.dof, self.limits)
+        known = [*np.asarray(q, dtype=float), *([] if gripper_angle is None else [gripper_angle])]
+        self.table = FeedbackTable(motors, self.dof, self.limits, known)
         self.recorder = Recorder()
         self.mode = ArmMode.HOLD
         self.lock = threading.RLock()
@@ -228,9 +229,7 @@ class ControlLoop:
 
     def _hold(self, now: float, event: SafetyEvent) -> None:
         measured = self.table.joints()[0]
-        setpoint, _ = self._setpoint.sample(now)
-        known = np.where(np.isfinite(measured), measured, setpoint)
-        self._setpoint.settle(np.clip(known, self.gate.lower, self.gate.upper), now)
+        self._setpoint.settle(np.clip(measured, self.gate.lower, self.gate.upper), now)
         if self._gripper is not None:
             self._gripper.settle(self._gripper.sample(now)[0], now)
         self.mode = ArmMode.HOLD
@@ -244,22 +243,21 @@ class ControlLoop:
         position = self._sent + np.clip(position - self._sent, -reach, reach)
         velocity = velocity * settings.velocity_feedforward
         self._sent, self._sent_at = position, now
-        measured = self.table.joints()[0]
-        known = np.where(np.isfinite(measured), measured, position)
-        torque = self._torque_scale * self._factors * self._gravity.torques(known)
+        torque = self._torque_scale * self._factors * self._gravity.torques(self.table.joints()[0])
         torque = np.clip(torque, -self._torque_limits, self._torque_limits)
-        damping = settings.kd if self._damping is None else self._damping
+        damping = settings.kd if self._damping is None else self._damping.tolist()
         failures = 0
-        for joint, motor in enumerate(self.motors[: self.dof]):
+        # As floats: the codecs compute with them several times faster than with elements of arrays.
+        laws = zip(position.tolist(), velocity.tolist(), torque.tolist(), damping, strict=True)
+        for joint, (motor, (q, dq, tau, kd)) in enumerate(zip(self.motors[: self.dof], laws, strict=True)):
             kp = self._gain_scale * settings.kp[joint]
-            law = (position[joint], velocity[joint], torque[joint], kp, damping[joint])
             if self.mode is ArmMode.STOPPED and self.table.records[motor.id].trouble(self.limits):
-                law = (position[joint], 0.0, 0.0, 0.0, damping[joint])
-            failures += self._send(motor.encode_mit(*law))
+                dq = tau = kp = 0.0
+            failures += self._send(motor.encode_mit(q, dq, tau, kp, kd))
         if self._gripper is not None:
-            angle, rate = self._gripper.sample(now)
+            angle, rate = (value.item() for value in self._gripper.sample(now))
             kp, kd = self._gain_scale * settings.gripper_kp, settings.gripper_kd
-            failures += self._send(self.motors[-1].encode_mit(angle[0], rate[0], 0.0, kp, kd))
+            failures += self._send(self.motors[-1].encode_mit(angle, rate, 0.0, kp, kd))
         self._silent_ticks = self._silent_ticks + 1 if failures == len(self.motors) else 0
         if self._silent_ticks >= _SEND_FAILURES:
             self.stop(BusOff(f"no frame could be sent for {_SEND_FAILURES} ticks"))

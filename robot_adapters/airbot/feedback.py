@@ -4,6 +4,7 @@ temperatures.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,15 +89,28 @@ class MotorRecord:
 class FeedbackTable:
     """The records of all motors of an arm, joints first, and what they say together."""
 
-    def __init__(self, motors: list[Motor], dof: int, limits: SafetyLimits) -> None:
-        """`motors` in joint order, the gripper's last; the first `dof` of them are joints."""
-        self.records = {motor.id: MotorRecord(motor) for motor in motors}
+    def __init__(
+        self, motors: list[Motor], dof: int, limits: SafetyLimits, positions: Sequence[float]
+    ) -> None:
+        """`motors` in joint order, the gripper's last; the first `dof` of them are joints.
+
+        `positions` [rad] are those read when the motors were started, known until they report.
+        """
+        self.records = {
+            motor.id: MotorRecord(motor, float(position))
+            for motor, position in zip(motors, positions, strict=True)
+        }
         self._joints = [self.records[motor.id] for motor in motors[:dof]]
         self._limits = limits
 
     def update(self, feedback: MotorFeedback, now: float) -> None:
         """Take a feedback frame of one of the motors."""
         self.records[feedback.motor_id].update(feedback, now, self._limits)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every motor has reported."""
+        return all(record.frames for record in self.records.values())
 
     def joints(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Position [rad], velocity [rad/s] and motor torque [Nm] of the joints, each (dof,)."""

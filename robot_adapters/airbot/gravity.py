@@ -68,10 +68,11 @@ class GravityModel:
         angles = np.asarray(q, dtype=float)
         if angles.shape != (self.dof,):
             raise ValueError(f"expected {self.dof} joint angles, got shape {angles.shape}")
+        at = angles.tolist()
         gx, gy, gz = self._gravity
         rotations, gravities = [], []
         for joint in self._joints:
-            s, c = math.sin(angles[joint.place]), math.cos(angles[joint.place])
+            s, c = math.sin(at[joint.place]), math.cos(at[joint.place])
             a, b, z = joint.columns
             x = (c * a[0] + s * b[0], c * a[1] + s * b[1], c * a[2] + s * b[2])
             y = (c * b[0] - s * a[0], c * b[1] - s * a[1], c * b[2] - s * a[2])

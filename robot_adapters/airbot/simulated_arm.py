@@ -147,25 +147,22 @@ class SimulatedArm:
     def run(self) -> None:
         """Serve the bus in real time until `stop` is called from elsewhere."""
         while not self._stopping.is_set():
-            now = self.clock.monotonic()
-            due = self._outbox[0][0] if self._outbox else now + _POLL_PERIOD
+            # Not at every frame: seven come at once, and waking for each would take a core from the driver.
+            self.clock.sleep(_POLL_PERIOD)
             try:
-                message = self.bus.recv(min(max(due - now, 0.0), _POLL_PERIOD))
-                self.poll(message)
+                self.poll()
             except (can.CanError, OSError):
                 if not self._stopping.is_set():
                     raise
                 return
 
-    def poll(self, first: can.Message | None = None) -> None:
-        """Advance the mechanics to now, hear the frames that came (`first` first), send the replies due."""
+    def poll(self) -> None:
+        """Advance the mechanics to now, hear the frames that came, send the replies due."""
         now = self.clock.monotonic()
         self._advance(now)
         self._go_off_or_on(now)
-        message = first if first is not None else self.bus.recv(0.0)
-        while message is not None:
+        while (message := self.bus.recv(0.0)) is not None:
             self._hear(message, now)
-            message = self.bus.recv(0.0)
         while self._outbox and self._outbox[0][0] <= now:
             _, _, reply = heapq.heappop(self._outbox)
             if not self.faults.bus_off(now):

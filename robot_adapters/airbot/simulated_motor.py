@@ -143,7 +143,7 @@ class SimulatedMotor:
     def feedback(self, now: float) -> can.Message:
         """The feedback frame of this moment."""
         position, velocity, torque = self.body.state()
-        noise = self._random.standard_normal(3)
+        noise = self._random.standard_normal(3).tolist()
         hot = self._faults.active(FaultKind.OVER_TEMPERATURE, self.id, now)
         temperature = round(hot.magnitude if hot else self.temperature)
         error = self.error

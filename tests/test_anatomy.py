@@ -1,0 +1,81 @@
+"""The standard motions pass through the singularities they are named after, and solvers undergo them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evaluation_cases import DampedLeastSquares, Scripted, airbot
+
+from lerobot_mimicik.data.arm_arrays import ArmArrays
+from lerobot_mimicik.data.singularities import KINDS, SingularityGauge
+from lerobot_mimicik.evaluation.anatomy import (
+    OUT_OF_REACH,
+    load_commands,
+    make_ordeals,
+    save_commands,
+    undergo,
+)
+from lerobot_mimicik.evaluation.bench_plots import plot_anatomy
+from lerobot_mimicik.evaluation.metrics import measure
+from lerobot_mimicik.kinematics.arms import describe_arm
+
+
+@pytest.fixture(scope="module")
+def ordeals():
+    return make_ordeals(airbot().description)
+
+
+@pytest.mark.parametrize("name", ["airbot_play", "piper"])
+def test_each_motion_is_slow_and_meets_its_singularity_alone(name):
+    arm = ArmArrays(describe_arm(name))
+    gauge = SingularityGauge.for_arm(arm, np.random.default_rng(1))
+    found = {ordeal.name: ordeal for ordeal in make_ordeals(arm.description)}
+    assert set(found) == {*KINDS, OUT_OF_REACH}
+    for kind in KINDS:
+        trajectory = found[kind].trajectory
+        assert np.abs(np.diff(trajectory.q, axis=0)).max() < 0.05
+        assert (trajectory.q >= arm.lower - 1e-9).all()
+        assert (trajectory.q <= arm.upper + 1e-9).all()
+        measures = gauge(trajectory.q)
+        assert measures[kind].argmin() == pytest.approx(found[kind].worst, abs=21)
+        assert measures[kind].min() < 0.02 < 0.1 < measures[kind][0]
+        # A target is where the next joints lead.
+        np.testing.assert_allclose(trajectory.target[:-1], arm.pose(trajectory.q[1:]), atol=1e-9)
+
+
+def test_the_last_target_leaves_every_reach_and_comes_back(ordeals):
+    arm = ArmArrays(airbot().description)
+    anywhere = arm.pose(np.random.default_rng(3).uniform(arm.lower, arm.upper, (5000, 6)))[:, :3]
+    (ordeal,) = (one for one in ordeals if one.name == OUT_OF_REACH)
+    target = ordeal.trajectory.target
+    distance = np.linalg.norm(anywhere - target[ordeal.worst, :3], axis=1)
+    assert distance.min() > 0.02
+    np.testing.assert_allclose(target[-1], target[0], atol=1e-9)
+
+
+def test_commands_are_kept_and_drawn(ordeals, tmp_path):
+    jump = Scripted(lambda q, target, step: q + (0.7 if step == 30 else 0.0))
+    done = {
+        name: undergo(solver, ordeals)
+        for name, solver in (("dls", DampedLeastSquares(airbot())), ("jump", jump))
+    }
+    for name, rollouts in done.items():
+        save_commands(tmp_path / f"{name}.npz", rollouts)
+    traces = {
+        name: measure(airbot(), list(load_commands(tmp_path / f"{name}.npz", ordeals).values()))
+        for name in done
+    }
+    for name, rollouts in done.items():
+        for trace, rollout in zip(traces[name], rollouts.values(), strict=True):
+            np.testing.assert_array_equal(trace.rollout.q_curr, rollout.q_curr)
+    plot = plot_anatomy(ordeals, traces, airbot().joint_names)
+    assert "jump 0.70 rad (wrist)" in plot.caption
+    assert plot.save(tmp_path).is_file()
+    with pytest.raises(ValueError, match="not of the motion 'wrist'"):
+        load_commands(tmp_path / "dls.npz", _shorter(ordeals))
+
+
+def _shorter(ordeals):
+
+    first = ordeals[0].trajectory
+    return [replace(ordeals[0], trajectory=replace(first, q=first.q[:5], target=first.target[:5]))]
