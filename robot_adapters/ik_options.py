@@ -1,4 +1,4 @@
-"""Options of the inverse kinematics inside robots, commands and checkpoints."""
+"""Options of the inverse kinematics inside robots and commands."""
 
 from __future__ import annotations
 
@@ -11,10 +11,17 @@ if TYPE_CHECKING:
 
 @dataclass
 class IKOptions:
-    """Which checkpoint answers, and how its answers are judged; see `AdapterSettings`."""
+    """Which checkpoint or server answers, and how its answers are judged; see `AdapterSettings`."""
 
     # MimicIK checkpoint: a folder, a training run's output folder, or a Hub repository.
     path: str = ""
+    # In its place, an IK server on this or another computer (mimicik serve): tcp://HOST:PORT.
+    address: str = ""
+    # Which of the server's solvers.
+    solver: str = "mimicik"
+    # Where the server has keys: the own secret key and the server's public key.
+    secret_key: str = ""
+    server_key: str = ""
     # Where the network runs: cpu, cuda, mps.
     device: str = "cpu"
     # Joints that a step starts from: commanded (the command in force) or measured.
@@ -26,17 +33,35 @@ class IKOptions:
     # Error of a target that counts as reached [rad].
     rotation_tolerance: float = 0.02
 
-    def load(self) -> MimicIKAdapter:
-        """The adapter.
+    def load(self, arm: str = "airbot_play") -> MimicIKAdapter:
+        """The adapter, for a shipped arm where a server answers.
 
         Raises:
-            ValueError: without a path; FileNotFoundError, TypeError: if there is no MimicIK checkpoint.
+            ValueError: without path and address, or with both; FileNotFoundError, TypeError: if there is no
+                MimicIK checkpoint; TimeoutError: nobody answers at the address.
         """
         from robot_adapters.adapter import MimicIKAdapter
 
-        if not self.path:
-            raise ValueError("ik.path is missing: the MimicIK checkpoint that turns poses into joints")
-        return MimicIKAdapter.from_pretrained(self.path, self.device, **asdict(self.settings()))
+        if bool(self.path) == bool(self.address):
+            raise ValueError(
+                "ik.path is missing: the MimicIK checkpoint that turns poses into joints (or ik.address: a server)"
+                if not self.path
+                else "ik.path and ik.address are both given: which of the two shall answer?"
+            )
+        if self.path:
+            return MimicIKAdapter.from_pretrained(self.path, self.device, **asdict(self.settings()))
+        from lerobot_mimicik.kinematics.arms import describe_arm
+        from lerobot_mimicik.kinematics.chain import SerialArm
+        from lerobot_mimicik.solvers import make_solver
+
+        description = describe_arm(arm)
+        keys = {"secret_key": self.secret_key, "server_key": self.server_key}
+        solver = make_solver(
+            "remote", SerialArm(description), address=self.address, solver=self.solver, **keys
+        )
+        adapter = MimicIKAdapter(solver, description, self.settings())
+        adapter.warm_up()
+        return adapter
 
     def settings(self) -> AdapterSettings:
         """The adapter's settings. Raises ValueError for one out of range."""

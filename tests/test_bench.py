@@ -87,14 +87,12 @@ def test_another_call_adds_rows_and_repeats_nothing(made):
     before = json.loads((out / "summary.json").read_text())["rows"]
     weights = out / "train" / "mlp-seed0" / "run" / "checkpoints" / "last" / "pretrained_model"
     stamp = (weights / "model.safetensors").stat().st_mtime_ns
-    assert main([*options, "--solvers=mlp,test_one_by_one,mimicik_fk0.5", "--modes=open_loop"]) == 0
+    assert main([*options, "--solvers=mlp,test_one_by_one", "--modes=open_loop"]) == 0
     assert (weights / "model.safetensors").stat().st_mtime_ns == stamp
     after = json.loads((out / "summary.json").read_text())["rows"]
     assert after[: len(before)] == before
-    assert [row["solver"] for row in after[len(before) :]] == ["test_one_by_one", "mimicik_fk0.5"]
-    assert [row["solver"] for row in table(out)["rows"]] == ["mlp", "test_one_by_one", "mimicik_fk0.5"]
-    run = out / "train" / "mimicik_fk0.5-seed0" / "run" / "checkpoints" / "last" / "pretrained_model"
-    assert json.loads((run / "config.json").read_text())["fk_weight"] == 0.5
+    assert [row["solver"] for row in after[len(before) :]] == ["test_one_by_one"]
+    assert [row["solver"] for row in table(out)["rows"]] == ["mlp", "test_one_by_one"]
 
 
 def test_an_interrupted_training_goes_on_from_its_checkpoint(made, tmp_path):

@@ -124,6 +124,8 @@ def test_deploy_command(mimicik_run, tmp_path, options):
     assert row["estop"] == 0
     summary = json.loads((out / "deployment.json").read_text())
     assert summary["frames"] == 100
+    assert summary["work_ms"]["p99"] >= summary["solve_ms"]["median"] > 0
+    assert summary["stolen_percent"] is None or 0 <= summary["stolen_percent"] <= 100
     assert summary["protections"][0]["frames_above_0.1_rad"] == 0
     assert not summary["protections"][0]["emergency_stop"]
     assert sum(summary["ik"]["statuses"].values()) == 100

@@ -3,16 +3,20 @@
 import logging
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import lerobot_policy_mimicik  # noqa: F401 - registers the robots, as LeRobot's commands do
 import numpy as np
 import pytest
+from evaluation_cases import airbot
 from lerobot.cameras import Camera, CameraConfig
 from lerobot.robots.config import RobotConfig
 from lerobot.robots.utils import make_robot_from_config
 from lerobot.teleoperators.utils import make_teleoperator_from_config
+from serving_cases import serving
 
+from lerobot_mimicik.solvers import make_solver
 from robot_adapters.ik_options import IKOptions
 from robot_adapters.robots.config_airbot_play import (
     AirbotConnection,
@@ -142,6 +146,19 @@ def test_end_effector_space(connected, mimicik_run, rotation):
     assert abs(after["ee.x.pos"] - before["ee.x.pos"]) < 0.01
     assert robot.simulation.warnings == 0
     assert robot.ik_result is not None
+
+
+def test_the_ik_may_answer_from_another_computer(connected):
+    solvers = {"mink": partial(make_solver, "mink", airbot())}
+    with serving(solvers) as server:
+        ik = IKOptions(address=server.address, solver="mink")
+        robot = connected(AirbotPlayEEConfig(interface="virtual", gripper=False, ik=ik))
+        before = robot.get_observation()["ee.z.pos"]
+        follow(robot, "ee.z.pos", 0.03)
+        assert robot.get_observation()["ee.z.pos"] - before > 0.02
+        robot.disconnect()
+    with pytest.raises(ValueError, match="which of the two"):
+        IKOptions(path="here", address="tcp://there:1").load()
 
 
 def test_a_pose_that_is_none_holds_the_arm(connected, mimicik_run, caplog):

@@ -81,7 +81,9 @@ def main(argv: Sequence[str]) -> int:
     print(markdown_table([row]))
     for key in (
         "control_period_ms",
+        "work_ms",
         "solve_ms",
+        "stolen_percent",
         "loop_250hz",
         "ik",
         "tool_error_mm",
@@ -121,7 +123,10 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     adapter = MimicIKAdapter.from_pretrained(config.policy.path, config.device, reference=config.reference)
     arm = SerialArm(adapter.description, dtype=torch.float64)
     recording = _motion(config, adapter, arm)
+    before = _processor_time()
     logs, extra = _drive(config, adapter, recording, progress)
+    used, stolen = _processor_time() - before
+    extra["stolen_percent"] = round(100 * float(stolen / used), 1) if used else None
     rollouts = [
         Rollout(trajectory, log.before, log.commanded, log.asked)
         for trajectory, log in zip(recording.set.trajectories, logs, strict=False)
@@ -291,6 +296,18 @@ def _tool_error(adapter: MimicIKAdapter, recording: Recording, logs: list[Deploy
         for q, target in zip(log.measured[: log.asked], trajectory.target, strict=False)
     ]
     return {"median": _percentile(errors, 50), "p95": _percentile(errors, 95)}
+
+
+def _processor_time() -> Any:
+    """Time of all processors so far, and what of it a hypervisor gave to others; zeros where it is not told."""
+    import numpy as np
+
+    stat = Path("/proc/stat")
+    if not stat.is_file():
+        return np.zeros(2)
+    # user nice system idle iowait irq softirq steal
+    ticks = [int(word) for word in stat.read_text().splitlines()[0].split()[1:9]]
+    return np.array([sum(ticks), ticks[7]])
 
 
 def _summary(logs: list[DeploymentLog]) -> dict[str, Any]:

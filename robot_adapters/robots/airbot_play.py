@@ -233,9 +233,8 @@ class AirbotPlayEE(AirbotPlay):
         """
         mine, theirs = tuple(key.removesuffix(".pos") for key in self.joint_keys), self.adapter.joint_names
         if mine != theirs:
-            raise ValueError(
-                f"the checkpoint {self.config.ik.path} drives joints {theirs}, this robot has {mine}"
-            )
+            source = self.config.ik.path or self.config.ik.address
+            raise ValueError(f"{source} drives joints {theirs}, this robot has {mine}")
         self.adapter.reset()
         super().connect(calibrate)
 
