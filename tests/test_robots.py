@@ -1,16 +1,20 @@
 """The AIRBOT Play as LeRobot robots: features, units, limits, two arms, cameras, and errors that name the thing."""
 
+import base64
+import json
 import logging
+import threading
 import time
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import cv2
 import lerobot_policy_mimicik  # noqa: F401 - registers the robots, as LeRobot's commands do
 import numpy as np
 import pytest
+import zmq
 from evaluation_cases import airbot
-from lerobot.cameras import Camera, CameraConfig
+from lerobot.cameras.zmq import ZMQCameraConfig
 from lerobot.robots.config import RobotConfig
 from lerobot.robots.utils import make_robot_from_config
 from lerobot.teleoperators.utils import make_teleoperator_from_config
@@ -206,60 +210,47 @@ def test_two_arms_close_when_one_does_not_answer(tmp_path):
     assert not robot.left_arm.is_connected
 
 
-@CameraConfig.register_subclass("test_pattern")
-@dataclass(kw_only=True)
-class PatternCameraConfig(CameraConfig):
-    """A camera that needs no device."""
+@pytest.fixture
+def image_server():
+    """Port of a publisher of grey images, as LeRobot's network camera takes them."""
+    stop = threading.Event()
+    socket = zmq.Context.instance().socket(zmq.PUB)
+    port = socket.bind_to_random_port("tcp://127.0.0.1")
+    encoded, jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))
+    assert encoded
+    message = json.dumps({"timestamps": {}, "images": {"wrist": base64.b64encode(jpeg).decode()}})
 
+    def publish():
+        while not stop.wait(0.03):
+            socket.send_string(message)
 
-class PatternCamera(Camera):
-    """Shows how often it was read."""
-
-    def __init__(self, config):
-        super().__init__(config)
-        self.reads = 0
-        self._open = False
-
-    @property
-    def is_connected(self):
-        """Whether it was opened."""
-        return self._open
-
-    @staticmethod
-    def find_cameras():
-        """None."""
-        return []
-
-    def connect(self, warmup=True):
-        """Opens."""
-        self._open = True
-
-    def read(self, *args):
-        """An image of one brightness."""
-        self.reads += 1
-        return np.full((self.height, self.width, 3), self.reads, np.uint8)
-
-    async_read = read_latest = read
-
-    def disconnect(self):
-        """Closes."""
-        self._open = False
+    thread = threading.Thread(target=publish)
+    thread.start()
+    yield port
+    stop.set()
+    thread.join()
+    socket.close()
 
 
 @pytest.mark.parametrize("two", [False, True])
-def test_cameras_attach_as_to_lerobots_own_robots(connected, two):
-    cameras = {"wrist": PatternCameraConfig(fps=20, width=8, height=6)}
-    virtual = AirbotConnection(interface="virtual")
+def test_lerobots_own_cameras_attach(connected, image_server, two):
+    camera = ZMQCameraConfig(
+        server_address="127.0.0.1", port=image_server, camera_name="wrist", width=64, height=48, fps=30
+    )
+    virtual = AirbotConnection(interface="virtual", gripper=False)
     config = (
-        BiAirbotPlayConfig(left=virtual, right=virtual, cameras=cameras)
+        BiAirbotPlayConfig(left=virtual, right=virtual, cameras={"wrist": camera})
         if two
-        else AirbotPlayConfig(interface="virtual", cameras=cameras)
+        else AirbotPlayConfig(interface="virtual", gripper=False, cameras={"wrist": camera})
     )
     robot = connected(config)
-    assert robot.observation_features["wrist"] == (6, 8, 3)
-    assert robot.get_observation()["wrist"].shape == (6, 8, 3)
+    assert robot.observation_features["wrist"] == (48, 64, 3)
+    image = robot.get_observation()["wrist"]
+    assert image.shape == (48, 64, 3)
+    assert np.abs(image.astype(int) - 90).max() < 5
+    camera = robot.cameras["wrist"]
     robot.disconnect()
-    assert not robot.cameras["wrist"].is_connected
+    assert not camera.is_connected
 
 
 def test_recorded_motion_plays_an_episode(mimicik_run, tmp_path):
