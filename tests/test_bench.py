@@ -112,6 +112,30 @@ def test_an_interrupted_training_goes_on_from_its_checkpoint(made, tmp_path):
     assert (again / "train" / "mlp-seed0" / "logs" / "train-000002.log").is_file()
 
 
+def test_some_episodes_are_rows_of_their_own(made):
+    out, options = made
+    for episodes, frames in (("1", 12), ("0-1", 24)):
+        assert main([*options, "--solvers=hold", "--modes=open_loop", f"--episodes={episodes}"]) == 0
+        assert [row["frames"] for row in table(out)["rows"]] == [frames]
+
+
+def test_a_dataset_that_does_not_name_its_arm_needs_the_option(made, tmp_path, capsys):
+    _, options = made
+    root = tmp_path / "elsewhere"
+    shutil.copytree(made[0].parent / "test", root)
+    (root / "meta" / "arm.json").unlink()
+    options = [
+        *options,
+        f"--train={root}",
+        f"--datasets={root}",
+        "--solvers=hold",
+        f"--out={tmp_path / 'out'}",
+    ]
+    assert main(options) == 1
+    assert "--urdf" in capsys.readouterr().err
+    assert main([*options, "--urdf=airbot_play", "--modes=open_loop"]) == 0
+
+
 @pytest.mark.parametrize(
     ("option", "message"),
     [
