@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.recordings import Recording
+from lerobot_mimicik.data.retargeting.recordings import Recording
 
 
 def hand_motion(

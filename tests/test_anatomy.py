@@ -7,7 +7,7 @@ import pytest
 from evaluation_cases import DampedLeastSquares, Scripted, airbot
 
 from lerobot_mimicik.data.arm_arrays import ArmArrays
-from lerobot_mimicik.data.singularities import KINDS, SingularityGauge
+from lerobot_mimicik.data.teleoperation.singularities import KINDS, SingularityGauge
 from lerobot_mimicik.evaluation.anatomy import (
     OUT_OF_REACH,
     load_commands,

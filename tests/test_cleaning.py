@@ -6,14 +6,14 @@ from hand_recordings import hand_motion, hand_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lerobot_mimicik.data.cleaning import (
+from lerobot_mimicik.data.retargeting.cleaning import (
     CleaningOptions,
     UnusableRecording,
     clean_recording,
     continuous_signs,
     local_quadratic,
 )
-from lerobot_mimicik.data.recordings import Recording
+from lerobot_mimicik.data.retargeting.recordings import Recording
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from lerobot_mimicik.data.hand_motion import TREMOR_BAND_HZ, Goal, HandPath, sample_style, slow_wave, tremor
+from lerobot_mimicik.data.teleoperation.hand_motion import (
+    TREMOR_BAND_HZ,
+    Goal,
+    HandPath,
+    sample_style,
+    slow_wave,
+    tremor,
+)
 
 FPS = 20.0
 START = np.array([0.3, 0.0, 0.2, 0.0, 0.0, 0.0])

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.data.arm_arrays import ArmArrays
-from lerobot_mimicik.data.hand_tracking import (
+from lerobot_mimicik.data.teleoperation.hand_tracking import (
     damped_step,
     limit_norm,
     limit_speed,

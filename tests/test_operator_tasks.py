@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lerobot_mimicik.data.hand_motion import HandPath, sample_style
-from lerobot_mimicik.data.operator_tasks import TASKS, draw_task, perform
+from lerobot_mimicik.data.teleoperation.hand_motion import HandPath, sample_style
+from lerobot_mimicik.data.teleoperation.operator_tasks import TASKS, draw_task, perform
 
 PLACES = np.random.default_rng(0).uniform(
     [0.2, -0.2, 0.1, -0.3, -0.3, -0.3], [0.5, 0.2, 0.3, 0.3, 0.3, 0.3], (20, 6)

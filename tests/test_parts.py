@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lerobot_mimicik.data.parts import PartStore, load_outcomes, save_outcomes
-from lerobot_mimicik.data.retarget import CHANGED, DROPPED, Outcome
+from lerobot_mimicik.data.retargeting.parts import PartStore, load_outcomes, save_outcomes
+from lerobot_mimicik.data.retargeting.retarget import CHANGED, DROPPED, Outcome
 
 
 def _outcome(seed: int, frames: int, gripper: bool = False) -> Outcome:

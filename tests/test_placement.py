@@ -7,8 +7,14 @@ import pytest
 from hand_recordings import hand_motion
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.placement import Motion, PlacementOptions, find_home, find_workspace, propose
-from lerobot_mimicik.data.trajectory_ik import forward, joint_range
+from lerobot_mimicik.data.retargeting.placement import (
+    Motion,
+    PlacementOptions,
+    find_home,
+    find_workspace,
+    propose,
+)
+from lerobot_mimicik.data.retargeting.trajectory_ik import forward, joint_range
 from lerobot_mimicik.kinematics.arms import describe_arm
 
 ARM = describe_arm("airbot_play")

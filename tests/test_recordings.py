@@ -6,7 +6,7 @@ import pytest
 from hand_recordings import hand_motion, hand_table
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.recordings import SourceColumns, load_recordings
+from lerobot_mimicik.data.retargeting.recordings import SourceColumns, load_recordings
 from lerobot_mimicik.data.writer import Episode, write_dataset
 from lerobot_mimicik.kinematics.arms import describe_arm
 

@@ -5,9 +5,9 @@ import pytest
 from hand_recordings import hand_motion, hand_recording
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.recordings import Recording
-from lerobot_mimicik.data.retarget import CHANGED, DROPPED, KEPT, Retargeter, RetargetOptions
-from lerobot_mimicik.data.trajectory_ik import forward, joint_range
+from lerobot_mimicik.data.retargeting.recordings import Recording
+from lerobot_mimicik.data.retargeting.retarget import CHANGED, DROPPED, KEPT, Retargeter, RetargetOptions
+from lerobot_mimicik.data.retargeting.trajectory_ik import forward, joint_range
 from lerobot_mimicik.kinematics.arms import describe_arm
 
 ARM = describe_arm("airbot_play")

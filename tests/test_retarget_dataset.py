@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from hand_recordings import hand_table
 
-from lerobot_mimicik.data import retarget_dataset as module
-from lerobot_mimicik.data.retarget_dataset import JobOptions, follow_command, retarget_dataset
-from lerobot_mimicik.data.trajectory_ik import forward
+from lerobot_mimicik.data.retargeting import dataset as module
+from lerobot_mimicik.data.retargeting.dataset import JobOptions, follow_command, retarget_dataset
+from lerobot_mimicik.data.retargeting.trajectory_ik import forward
 from lerobot_mimicik.kinematics.arms import describe_arm
 
 ARM = describe_arm("airbot_play")

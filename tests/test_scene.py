@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lerobot_mimicik.data.hand_motion import sample_style
-from lerobot_mimicik.data.scene import Scene
-from lerobot_mimicik.data.singularities import KINDS, NEAR
+from lerobot_mimicik.data.teleoperation.hand_motion import sample_style
+from lerobot_mimicik.data.teleoperation.scene import Scene
+from lerobot_mimicik.data.teleoperation.singularities import KINDS, NEAR
 from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, describe_arm
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.sensing import follow, lag_remainder, perturb_poses, quantise, wander
+from lerobot_mimicik.data.teleoperation.sensing import follow, lag_remainder, perturb_poses, quantise, wander
 
 COMMANDS = np.random.default_rng(0).normal(size=(30, 3)).cumsum(axis=0)
 

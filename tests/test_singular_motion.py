@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from lerobot_mimicik.data.hand_motion import sample_style
-from lerobot_mimicik.data.hand_tracking import ROTATION_LENGTH_M
-from lerobot_mimicik.data.scene import Scene
-from lerobot_mimicik.data.singular_motion import JointPath, leg, recovery, strayed_hand
-from lerobot_mimicik.data.singularities import KINDS, NEAR
+from lerobot_mimicik.data.teleoperation.hand_motion import sample_style
+from lerobot_mimicik.data.teleoperation.hand_tracking import ROTATION_LENGTH_M
+from lerobot_mimicik.data.teleoperation.scene import Scene
+from lerobot_mimicik.data.teleoperation.singular_motion import JointPath, leg, recovery, strayed_hand
+from lerobot_mimicik.data.teleoperation.singularities import KINDS, NEAR
 from lerobot_mimicik.kinematics.arms import describe_arm
 
 FPS = 20

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from lerobot_mimicik.data.arm_arrays import ArmArrays
-from lerobot_mimicik.data.hand_tracking import ROTATION_LENGTH_M, weighted
-from lerobot_mimicik.data.singularities import KINDS, SingularityGauge, find_singular, lost_directions
+from lerobot_mimicik.data.teleoperation.hand_tracking import ROTATION_LENGTH_M, weighted
+from lerobot_mimicik.data.teleoperation.singularities import (
+    KINDS,
+    SingularityGauge,
+    find_singular,
+    lost_directions,
+)
 from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, describe_arm
 
 

@@ -6,10 +6,10 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.data.arm_arrays import ArmArrays
-from lerobot_mimicik.data.sensing import ENCODER_QUANTUM_RAD, lag_remainder
-from lerobot_mimicik.data.session import OOD_TASK, RECOVERY_TASK
-from lerobot_mimicik.data.singularities import KINDS, SingularityGauge
-from lerobot_mimicik.data.synthetic import SyntheticConfig, make_synthetic, plan_sessions
+from lerobot_mimicik.data.teleoperation.sensing import ENCODER_QUANTUM_RAD, lag_remainder
+from lerobot_mimicik.data.teleoperation.session import OOD_TASK, RECOVERY_TASK
+from lerobot_mimicik.data.teleoperation.singularities import KINDS, SingularityGauge
+from lerobot_mimicik.data.teleoperation.synthetic import SyntheticConfig, make_synthetic, plan_sessions
 from lerobot_mimicik.data.writer import read_arm_json
 from lerobot_mimicik.kinematics.arms import describe_arm
 

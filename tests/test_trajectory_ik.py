@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.trajectory_ik import (
+from lerobot_mimicik.data.retargeting.trajectory_ik import (
     TrajectoryOptions,
     forward,
     joint_range,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lerobot_commands import run_here
 
-from lerobot_mimicik.data.synthetic import make_synthetic
+from lerobot_mimicik.data.teleoperation.synthetic import make_synthetic
 from lerobot_mimicik.kinematics.arms import describe_arm
 
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -146,8 +146,8 @@ def make_data(config: DemoConfig, folder: Path) -> DemoData:
         ValueError: If an option does not fit.
         OSError: If the input does not exist.
     """
-    from lerobot_mimicik.data.session import SyntheticConfig
-    from lerobot_mimicik.data.synthetic import make_synthetic
+    from lerobot_mimicik.data.teleoperation.session import SyntheticConfig
+    from lerobot_mimicik.data.teleoperation.synthetic import make_synthetic
     from lerobot_mimicik.kinematics.arms import describe_arm
 
     train, test = folder / "train", folder / "test"

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 import draccus
 
 from lerobot_mimicik.cli.options import bare_switches, words
-from lerobot_mimicik.data.cleaning import CleaningOptions
-from lerobot_mimicik.data.placement import PlacementOptions
-from lerobot_mimicik.data.recordings import SourceColumns
-from lerobot_mimicik.data.retarget import RetargetOptions
+from lerobot_mimicik.data.retargeting.cleaning import CleaningOptions
+from lerobot_mimicik.data.retargeting.placement import PlacementOptions
+from lerobot_mimicik.data.retargeting.recordings import SourceColumns
+from lerobot_mimicik.data.retargeting.retarget import RetargetOptions
 from lerobot_mimicik.data.writer import SPACES
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.data.retarget_report import RetargetSummary
-    from lerobot_mimicik.data.synthetic import SyntheticSummary
+    from lerobot_mimicik.data.retargeting.report import RetargetSummary
+    from lerobot_mimicik.data.teleoperation.synthetic import SyntheticSummary
 
 HELP = "Make a training dataset: generate teleoperation, or retarget recorded end-effector motion to an arm."
 
@@ -187,8 +187,8 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
     if config.source == "synthetic":
         if config.input or config.resume:
             raise ValueError("--input and --resume belong to --source=ee")
-        from lerobot_mimicik.data.session import SyntheticConfig
-        from lerobot_mimicik.data.synthetic import make_synthetic
+        from lerobot_mimicik.data.teleoperation.session import SyntheticConfig
+        from lerobot_mimicik.data.teleoperation.synthetic import make_synthetic
 
         if config.episodes <= 0:
             raise ValueError(f"--episodes must be positive with --source=synthetic, got {config.episodes}")
@@ -208,7 +208,7 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
             overwrite=config.overwrite,
             space=config.space,
         )
-    from lerobot_mimicik.data.retarget_dataset import JobOptions, retarget_dataset
+    from lerobot_mimicik.data.retargeting.dataset import JobOptions, retarget_dataset
 
     if not config.input:
         raise ValueError("--input is missing: the file, folder or LeRobot dataset to retarget")

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lerobot_mimicik.data.collision import ArmCollision
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
-
-from .collision import ArmCollision
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lerobot_mimicik.data.arm_arrays import ArmArrays, Array
-from lerobot_mimicik.data.singularities import KINDS, SingularityGauge, find_singular
+from lerobot_mimicik.data.teleoperation.singularities import KINDS, SingularityGauge, find_singular
 from lerobot_mimicik.evaluation.rollouts import Rollout, RolloutOptions, make_rollouts
 from lerobot_mimicik.evaluation.trajectories import Trajectory
 from lerobot_mimicik.kinematics.arms import ArmDescription

@@ -164,7 +164,7 @@ def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> Recordin
 
 
 def _generated(folder: Path, config: DeployConfig) -> Path:
-    from lerobot_mimicik.data.synthetic import make_synthetic
+    from lerobot_mimicik.data.teleoperation.synthetic import make_synthetic
     from lerobot_mimicik.kinematics.arms import describe_arm
 
     make_synthetic(folder, 1, describe_arm("airbot_play"), seed=config.seed, test_share=0.0, progress=False)

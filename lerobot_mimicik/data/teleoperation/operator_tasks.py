@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from .arm_arrays import Array
-from .hand_motion import Goal, HandPath
+from lerobot_mimicik.data.arm_arrays import Array
+from lerobot_mimicik.data.teleoperation.hand_motion import Goal, HandPath
 
 _LONGEST_S = 40.0  # an episode ends here whatever the task
 

@@ -6,14 +6,27 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .arm_arrays import Array
-from .hand_motion import HandPath, OperatorStyle, sample_style, sway, tremor
-from .hand_tracking import damped_step, limit_norm, limit_speed, smooth, track
-from .operator_tasks import draw_task, perform
-from .scene import Places, Scene
-from .sensing import ENCODER_QUANTUM_RAD, follow, lag_remainder, perturb_poses, quantise, wander
-from .singular_motion import leg, recovery, strayed_hand
-from .writer import Episode
+from lerobot_mimicik.data.arm_arrays import Array
+from lerobot_mimicik.data.teleoperation.hand_motion import HandPath, OperatorStyle, sample_style, sway, tremor
+from lerobot_mimicik.data.teleoperation.hand_tracking import (
+    damped_step,
+    limit_norm,
+    limit_speed,
+    smooth,
+    track,
+)
+from lerobot_mimicik.data.teleoperation.operator_tasks import draw_task, perform
+from lerobot_mimicik.data.teleoperation.scene import Places, Scene
+from lerobot_mimicik.data.teleoperation.sensing import (
+    ENCODER_QUANTUM_RAD,
+    follow,
+    lag_remainder,
+    perturb_poses,
+    quantise,
+    wander,
+)
+from lerobot_mimicik.data.teleoperation.singular_motion import leg, recovery, strayed_hand
+from lerobot_mimicik.data.writer import Episode
 
 RECOVERY_TASK = "Work the arm out of a singularity"
 OOD_TASK = "Move through near-singular configurations"

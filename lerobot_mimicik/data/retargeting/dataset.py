@@ -22,11 +22,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from lerobot_mimicik.data.parts import PartStore, load_outcomes, manifest_of, save_outcomes
-from lerobot_mimicik.data.recordings import Recording, SourceColumns, load_recordings
-from lerobot_mimicik.data.retarget import DROPPED, Outcome, Retargeter, RetargetOptions
-from lerobot_mimicik.data.retarget_report import RetargetSummary, retarget_report
-from lerobot_mimicik.data.trajectory_ik import forward
+from lerobot_mimicik.data.retargeting.parts import PartStore, load_outcomes, manifest_of, save_outcomes
+from lerobot_mimicik.data.retargeting.recordings import Recording, SourceColumns, load_recordings
+from lerobot_mimicik.data.retargeting.report import RetargetSummary, retarget_report
+from lerobot_mimicik.data.retargeting.retarget import DROPPED, Outcome, Retargeter, RetargetOptions
+from lerobot_mimicik.data.retargeting.trajectory_ik import forward
 from lerobot_mimicik.data.writer import Episode, import_lerobot, write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from .arm_arrays import Array
+from lerobot_mimicik.data.arm_arrays import Array
 
 ENCODER_QUANTUM_RAD = 25.0 / 65535.0  # 16 bits over -12.5..12.5 rad: 0.381 mrad, as on the AIRBOT Play
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_mimicik.data.retarget import Outcome
+from lerobot_mimicik.data.retargeting.retarget import Outcome
 
 _MANIFEST = "manifest.json"
 _ARRAYS = ("q", "target", "gripper")

@@ -5,12 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lerobot_mimicik.data.arm_arrays import ArmArrays, Array
+from lerobot_mimicik.data.teleoperation.hand_motion import OperatorStyle
+from lerobot_mimicik.data.teleoperation.hand_tracking import solve_poses
+from lerobot_mimicik.data.teleoperation.singularities import KINDS, NEAR, SingularityGauge, find_singular
 from lerobot_mimicik.kinematics.arms import ArmDescription
-
-from .arm_arrays import ArmArrays, Array
-from .hand_motion import OperatorStyle
-from .hand_tracking import solve_poses
-from .singularities import KINDS, NEAR, SingularityGauge, find_singular
 
 # The workspace of the paper's recordings (m), and the reach of the arm that made them: other arms get a
 # workspace in proportion.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arm_arrays import Array
+from lerobot_mimicik.data.arm_arrays import Array
 
 TREMOR_BAND_HZ = (3.0, 9.0)
 _REACTION_S = 0.12  # the constant part of a reach's duration, whatever its length

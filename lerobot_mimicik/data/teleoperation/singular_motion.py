@@ -7,9 +7,9 @@ the arm cannot follow.
 
 import numpy as np
 
-from .arm_arrays import Array
-from .hand_motion import slow_wave
-from .singularities import NEAR, SingularityGauge, lost_directions
+from lerobot_mimicik.data.arm_arrays import Array
+from lerobot_mimicik.data.teleoperation.hand_motion import slow_wave
+from lerobot_mimicik.data.teleoperation.singularities import NEAR, SingularityGauge, lost_directions
 
 _SLOWEST_S = 0.5  # no movement between two via configurations takes less
 

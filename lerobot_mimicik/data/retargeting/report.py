@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.retarget import DROPPED, Outcome, RetargetOptions
-from lerobot_mimicik.data.trajectory_ik import forward
+from lerobot_mimicik.data.retargeting.retarget import DROPPED, Outcome, RetargetOptions
+from lerobot_mimicik.data.retargeting.trajectory_ik import forward
 from lerobot_mimicik.kinematics.arms import ArmDescription
 
 

@@ -11,11 +11,15 @@ from typing import TypeVar
 import numpy as np
 from tqdm import tqdm
 
+from lerobot_mimicik.data.teleoperation.scene import Scene
+from lerobot_mimicik.data.teleoperation.session import (
+    SessionPlan,
+    SyntheticConfig,
+    record_near_singular,
+    record_sessions,
+)
+from lerobot_mimicik.data.writer import Episode, write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
-
-from .scene import Scene
-from .session import SessionPlan, SyntheticConfig, record_near_singular, record_sessions
-from .writer import Episode, write_dataset
 
 __all__ = ["SyntheticConfig", "SyntheticSummary", "make_synthetic", "plan_sessions"]
 

@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lerobot_mimicik.data.pose_columns import GROUPS, PoseColumns, find_pose_columns, gather_poses, guess_one
+from lerobot_mimicik.data.retargeting.pose_columns import (
+    GROUPS,
+    PoseColumns,
+    find_pose_columns,
+    gather_poses,
+    guess_one,
+)
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TABLE_SUFFIXES = (".parquet", ".csv", ".csv.gz", ".tsv")

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from .arm_arrays import ArmArrays, Array, cross
-from .slowing import stretched_clock
+from lerobot_mimicik.data.arm_arrays import ArmArrays, Array, cross
+from lerobot_mimicik.data.slowing import stretched_clock
 
 ROTATION_LENGTH_M = 0.15  # weighs rotation (rad) against translation (m)
 _DAMPING_M = 0.02

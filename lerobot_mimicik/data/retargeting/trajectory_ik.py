@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.trajectory_refinement import (
+from lerobot_mimicik.data.retargeting.trajectory_refinement import (
     PoseTargets,
     TrajectoryOptions,
     TrajectorySolution,

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.data.collision import ArmCollision
-from lerobot_mimicik.data.trajectory_ik import (
+from lerobot_mimicik.data.retargeting.trajectory_ik import (
     TrajectoryOptions,
     forward,
     joint_range,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lerobot_mimicik.data.recordings import Recording
+from lerobot_mimicik.data.retargeting.recordings import Recording
 
 
 class UnusableRecording(ValueError):  # noqa: N818 - a statement about data, not a failure of the program

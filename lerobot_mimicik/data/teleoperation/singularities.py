@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arm_arrays import ArmArrays, Array, cross
-from .hand_tracking import ROTATION_LENGTH_M, weighted
+from lerobot_mimicik.data.arm_arrays import ArmArrays, Array, cross
+from lerobot_mimicik.data.teleoperation.hand_tracking import ROTATION_LENGTH_M, weighted
 
 KINDS = ("wrist", "elbow", "shoulder")
 NEAR = 0.1  # a measure below this counts as near-singular

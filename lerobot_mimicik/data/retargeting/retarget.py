@@ -18,22 +18,28 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from lerobot_mimicik.data.cleaning import (
+from lerobot_mimicik.data.collision import ArmCollision
+from lerobot_mimicik.data.retargeting.cleaning import (
     CleaningOptions,
     CleanTrajectory,
     UnusableRecording,
     clean_recording,
     continuous_signs,
 )
-from lerobot_mimicik.data.collision import ArmCollision
-from lerobot_mimicik.data.placement import Motion, Placement, PlacementOptions, find_workspace, propose
-from lerobot_mimicik.data.recordings import Recording
-from lerobot_mimicik.data.slowing import resample, stretched_clock
-from lerobot_mimicik.data.trajectory_ik import (
+from lerobot_mimicik.data.retargeting.placement import (
+    Motion,
+    Placement,
+    PlacementOptions,
+    find_workspace,
+    propose,
+)
+from lerobot_mimicik.data.retargeting.recordings import Recording
+from lerobot_mimicik.data.retargeting.trajectory_ik import (
     TrajectoryOptions,
     TrajectorySolution,
     solve_trajectories,
 )
+from lerobot_mimicik.data.slowing import resample, stretched_clock
 from lerobot_mimicik.kinematics.arms import ArmDescription
 
 KEPT, CHANGED, DROPPED = "kept", "changed", "dropped"

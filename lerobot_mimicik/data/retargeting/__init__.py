@@ -1,0 +1,1 @@
+"""End-effector recordings to joint space: reading, cleaning, placing, whole-trajectory IK, writing."""
