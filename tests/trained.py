@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lerobot_commands import run_here
 
+from lerobot_mimicik.data.teleoperation.session import SyntheticConfig
 from lerobot_mimicik.data.teleoperation.synthetic import make_synthetic
 from lerobot_mimicik.kinematics.arms import describe_arm
 
@@ -14,7 +15,14 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 def train_mimicik(folder: Path) -> Path:
     """A small MimicIK policy of the AIRBOT Play: its training run's folder. Data in `folder`/data."""
-    make_synthetic(folder / "data", 24, describe_arm("airbot_play"), seed=3, workers=2, progress=False)
+    make_synthetic(
+        folder / "data",
+        24,
+        describe_arm("airbot_play"),
+        seed=3,
+        progress=False,
+        config=SyntheticConfig(ood_s=20.0),
+    )
     run_here(
         "lerobot.scripts.lerobot_train",
         f"--config_path={REPOSITORY / 'configs' / 'small.json'}",
