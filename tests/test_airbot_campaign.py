@@ -52,6 +52,15 @@ def test_what_a_fault_may_lead_to_follows_from_kind_and_length(fault, outcomes):
     assert specified_outcomes(fault) == outcomes
 
 
+@pytest.mark.parametrize(
+    ("seed", "duration", "rate"),
+    [(5000049, 0.06, 0.834), (5000445, 0.06, 0.926), (5000558, 0.15, 0.860), (5000594, 0.15, 0.968)],
+)
+def test_a_storm_of_damaged_frames_is_taken_neither_for_heat_nor_for_motion(seed, duration, rate):
+    case = run_case(Fault(FaultKind.CORRUPTED, None, 0.2, duration, rate), seed)
+    assert case.complaints == ()
+
+
 @pytest.mark.timeout(0)
 def test_a_soak_grows_nothing():
     report = run_soak(SOAK_SECONDS, samples=12)

@@ -45,6 +45,7 @@ from robot_adapters.safety import (
 )
 
 _SEND_FAILURES = 25  # ticks in a row without a frame sent before the bus counts as off
+_BEHIND = 5  # ticks in a row before a joint counts as left behind: a damaged frame must not hold the arm
 _TORQUE_SHARE = 0.8  # of the motor's torque range that the feed-forward may take
 _EVENTS_KEPT = 1000
 
@@ -95,7 +96,7 @@ class ControlLoop:
         self._target_stamp = clock.monotonic()
         self._had_target = False
         self._started = clock.monotonic()
-        self._silent_ticks = 0
+        self._silent_ticks = self._behind = 0
         self._gain_scale = self._torque_scale = 1.0
         self._damping: NDArray[np.float64] | None = None
         self._news: deque[SafetyEvent] = deque(maxlen=_EVENTS_KEPT)
@@ -222,7 +223,8 @@ class ControlLoop:
         setpoint, _ = self._setpoint.sample(now)
         errors = np.abs(setpoint - self.table.joints()[0])
         worst = int(np.argmax(errors))
-        if errors[worst] > self.limits.max_following_error:
+        self._behind = self._behind + 1 if errors[worst] > self.limits.max_following_error else 0
+        if self._behind >= _BEHIND:
             self._hold(
                 now, FollowingError(f"{self.gate.joint_names[worst]} is {errors[worst]:.2f} rad behind")
             )

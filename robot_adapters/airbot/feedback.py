@@ -14,10 +14,11 @@ from robot_adapters.airbot.protocol import DmMotor, Motor, MotorFeedback, error_
 from robot_adapters.safety import MotorFault, OverTemperature, SafetyEvent, SafetyLimits
 
 # A joint cannot be further from its last position than this [rad] plus what it does at the speed [rad/s].
-_JUMP, _SPEED = 0.1, 20.0
-# Frames in a row before an error or a temperature counts, and before an implausible position is believed: one
-# damaged frame must not stop the arm.
-_STREAK = 3
+_JUMP, _SPEED = 0.05, 10.0
+# Frames in a row before an error or a temperature counts, and before an implausible position is believed: some
+# damaged frames must neither stop the arm nor tell it to hold elsewhere.
+_STREAK, _BELIEVED = 5, 8
+_WARMING = 2  # degrees C that a motor can become hotter from one frame to the next
 
 
 @dataclass
@@ -46,13 +47,19 @@ class MotorRecord:
             return
         self._doubted = 0
         self.position, self.velocity, self.torque = feedback.position, feedback.velocity, feedback.torque
+        same_error = feedback.error == self.error
+        warming = max(
+            abs(feedback.motor_temperature - self.motor_temperature),
+            abs(feedback.mosfet_temperature - self.mosfet_temperature),
+        )
         self.error = feedback.error
         self.motor_temperature = feedback.motor_temperature
         self.mosfet_temperature = feedback.mosfet_temperature
         self.stamp = now
         self.frames += 1
-        self._bad_state = self._bad_state + 1 if self._bad() else 0
-        self._too_hot = self._too_hot + 1 if self._hot(limits) else 0
+        # Damaged frames in a row do not say the same; a motor in trouble does.
+        self._bad_state = (self._bad_state if same_error else 0) + 1 if self._bad() else 0
+        self._too_hot = (self._too_hot if warming <= _WARMING else 0) + 1 if self._hot(limits) else 0
 
     def trouble(self, limits: SafetyLimits) -> SafetyEvent | None:
         """The event that this motor's state asks for, if any."""
@@ -69,10 +76,10 @@ class MotorRecord:
         reach = _JUMP + _SPEED * min(now - self.stamp, 1.0)
         if abs(position - self.position) <= reach:
             return True
-        same = abs(position - self._doubted_position) <= _JUMP
+        same = abs(position - self._doubted_position) <= 2 * _JUMP
         self._doubted = self._doubted + 1 if same else 1
         self._doubted_position = position
-        return self._doubted >= _STREAK
+        return self._doubted >= _BELIEVED
 
     def _bad(self) -> bool:
         if error_name(self.motor, self.error) is not None:
