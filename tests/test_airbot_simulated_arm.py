@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 
@@ -149,15 +150,6 @@ def test_parameters_that_do_not_fit_the_arm_are_named():
         )
 
 
-SERVER = """
-from robot_adapters.airbot.bus import open_bus
-from robot_adapters.airbot.simulated_arm import SimulatedArm
-arm = SimulatedArm(open_bus("udp_multicast", {channel!r}))
-print("ready", flush=True)
-arm.run()
-"""
-
-
 def test_an_arm_in_another_process_through_udp_multicast():
     pytest.importorskip("msgpack")
     channel = "239.74.163.77"
@@ -165,11 +157,12 @@ def test_an_arm_in_another_process_through_udp_multicast():
         open_bus("udp_multicast", channel).shutdown()
     except BusError as error:
         pytest.skip(f"no multicast here: {error}")
+    command = ["simulate", f"--channel={channel}", "--gripper=false"]
     server = subprocess.Popen(
-        [sys.executable, "-c", SERVER.format(channel=channel)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "lerobot_mimicik.cli.main", *command], stdout=subprocess.PIPE, text=True
     )
     try:
-        assert server.stdout.readline() == "ready\n"
+        assert "simulated arm on udp_multicast" in server.stdout.readline()
         arm = AirbotArm("udp_multicast", channel, handle_signals=False)
         for _ in range(300):
             try:
@@ -183,6 +176,7 @@ def test_an_arm_in_another_process_through_udp_multicast():
                 assert arm.command(q).q_sent.shape == (6,)
                 arm.clock.sleep(0.05)
             assert np.all(np.isfinite(arm.read().q))
+            assert arm.read().gripper is None
     finally:
-        server.terminate()
-        server.wait(timeout=20)
+        server.send_signal(signal.SIGINT)
+        assert server.wait(timeout=20) == 130

@@ -82,6 +82,7 @@ def main(argv: Sequence[str]) -> int:
     for key in (
         "control_period_ms",
         "work_ms",
+        "work_p99_ms_by_trajectory",
         "solve_ms",
         "stolen_percent",
         "loop_250hz",
@@ -316,6 +317,7 @@ def _summary(logs: list[DeploymentLog]) -> dict[str, Any]:
     solve = [ms for log in logs for ms in log.solve_ms]
     return {
         "frames": sum(log.asked for log in logs),
+        "work_p99_ms_by_trajectory": [_percentile(log.work_ms, 99) for log in logs],
         "control_period_ms": {"median": _percentile(periods, 50), "p99": _percentile(periods, 99)}
         | {"max": _percentile(periods, 100)},
         "work_ms": {"median": _percentile(work, 50), "p99": _percentile(work, 99)},
