@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from lerobot_mimicik.kinematics.array_chain import array_chain
+from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.noise import sample_normal
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class TracedPolicy:
     """A policy's `predict_joints` for one history of frames, as one traced call. Its weights are those of now."""
 
     def __init__(self, policy: LearnedIKPolicy):
-        self._chain = array_chain(policy.config.arm_description())
+        self._chain = point_chain(policy.config.arm_description())
         self._lower, self._upper = (
             bound.double().cpu().numpy() for bound in (policy.arm.lower, policy.arm.upper)
         )
@@ -75,7 +75,10 @@ class TracedPolicy:
         """
         sign = np.where(target[:, 6:] < 0, -1.0, 1.0)
         # Every torch call gives the interpreter away: the numbers go in at once.
-        frames = np.concatenate([q, self._chain.pose(q), target[:, :3], sign * target[:, 3:]], axis=-1)
+        frames = np.concatenate(
+            [q, np.array([self._chain.pose(each) for each in q]), target[:, :3], sign * target[:, 3:]],
+            axis=-1,
+        )
         with torch.inference_mode():
             step = self._step(torch.from_numpy(frames).to(self._device), self._noise()).cpu().numpy()
         command = q[-1] + step

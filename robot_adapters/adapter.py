@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
-from lerobot_mimicik.kinematics.array_chain import array_chain
+from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.solvers.base import IKSolver
 from robot_adapters.poses import PolicyFrames, decode_pose, pose_distance, towards
 from robot_adapters.poses import PoseFormat as PoseFormat
@@ -114,7 +114,7 @@ class MimicIKAdapter:
         self.solver, self.description = solver, description
         self.settings = settings or AdapterSettings()
         self._lower_step, self._upper_step = _step_range(self.settings, solver)
-        self.chain = array_chain(description)
+        self.chain = point_chain(description)
         joints = description.joints()
         self.lower, self.upper = (np.array([getattr(j, side) for j in joints]) for side in ("lower", "upper"))
         self._command: Array | None = None
@@ -148,7 +148,7 @@ class MimicIKAdapter:
 
     def forward(self, q: ArrayLike) -> Array:
         """`T_base_tool` (7,) of joints (dof,) [rad]."""
-        return self.chain.pose(np.asarray(q, dtype=float)[None])[0]
+        return self.chain.pose(np.asarray(q, dtype=float))
 
     def warm_up(self) -> None:
         """Answer a few queries and forget them: the first ones of a network may take a second, an arm must

@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.kinematics.array_chain import ArrayChain
+from lerobot_mimicik.kinematics.point_chain import PointChain
 
 Array = NDArray[np.float64]
 _LENGTH = 0.1  # m, the lever at which a rotation counts as much as a translation
+# A controller waits for this: it ends at 30 micrometres, or where a step gains next to nothing.
+_MET, _SLOW = 1e-9, 1e-4
 
 
 def closest_configuration(
-    chain: ArrayChain, lower: Array, upper: Array, q: Array, target: Array, iterations: int = 40
+    chain: PointChain, lower: Array, upper: Array, q: Array, target: Array, iterations: int = 15
 ) -> Array:
     """The configuration (dof,) [rad] that a descent from `q` ends at, within `lower` and `upper` (dof,).
 
@@ -37,7 +39,7 @@ def closest_configuration(
     error, jacobian = _error(chain, q, target, goal)
     for _ in range(iterations):
         cost = float(error @ error)
-        if cost < 1e-12:
+        if cost < _MET:
             break
         normal, slope = jacobian.T @ jacobian, jacobian.T @ error
         stuck = ((q <= lower) & (slope < 0)) | ((q >= upper) & (slope > 0))
@@ -50,9 +52,9 @@ def closest_configuration(
         candidate = np.clip(q + step, lower, upper)
         found, there = _error(chain, candidate, target, goal)
         if float(found @ found) < cost:
-            moved = float(np.abs(candidate - q).max())
+            gained = 1.0 - float(found @ found) / cost
             q, error, jacobian, damping = candidate, found, there, max(damping / 5, 1e-8)
-            if moved < 1e-6:
+            if gained < _SLOW:
                 break
         else:
             damping *= 10
@@ -61,9 +63,9 @@ def closest_configuration(
     return q
 
 
-def _error(chain: ArrayChain, q: Array, target: Array, goal: Rotation) -> tuple[Array, Array]:
+def _error(chain: PointChain, q: Array, target: Array, goal: Rotation) -> tuple[Array, Array]:
     """Pose error (6,) [m] and its derivative by the joints, sign turned, (6, dof)."""
-    rotation, position, jacobian = chain.forward_and_jacobian(q[None])
-    turn = (goal * Rotation.from_matrix(rotation[0]).inv()).as_rotvec()
+    rotation, position, jacobian = chain.rotation_position_jacobian(q)
+    turn = (goal * Rotation.from_matrix(rotation).inv()).as_rotvec()
     weight = np.array([1.0, 1.0, 1.0, _LENGTH, _LENGTH, _LENGTH])
-    return weight * np.concatenate([target[:3] - position[0], turn]), weight[:, None] * jacobian[0]
+    return weight * np.concatenate([target[:3] - position, turn]), weight[:, None] * jacobian

@@ -1,4 +1,4 @@
-"""ArrayChain agrees with SerialArm."""
+"""ArrayChain agrees with SerialArm, and PointChain with ArrayChain."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ import torch
 from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, describe_arm
 from lerobot_mimicik.kinematics.array_chain import ArrayChain
 from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.kinematics.point_chain import PointChain
 
 _SLIDER = """<robot name="slider">
 <link name="a"/><link name="b"/><link name="c"/><link name="d"/>
@@ -38,6 +39,19 @@ def test_forward_and_jacobian_agree_with_serial_arm(description):
     np.testing.assert_allclose(jacobian, arm.jacobian(torch.from_numpy(q)).numpy(), atol=1e-12)
     for alone, together in zip(chain.forward(q), (rotation, position), strict=True):
         np.testing.assert_array_equal(alone, together)
+
+
+@pytest.mark.parametrize("description", list(_descriptions()))
+def test_one_configuration_in_floats_agrees_with_arrays(description):
+    chain, single = ArrayChain(description), PointChain(description)
+    q = np.random.default_rng(2).uniform(-3, 3, size=(200, chain.dof))
+    expected = chain.forward_and_jacobian(q)
+    for i, row in enumerate(q):
+        for own, all_of_them in zip(single.rotation_position_jacobian(row), expected, strict=True):
+            np.testing.assert_allclose(own, all_of_them[i], atol=1e-12)
+        np.testing.assert_allclose(single.pose(row), chain.pose(row[None])[0], atol=1e-12)
+    with pytest.raises(ValueError, match=f"expected {chain.dof} joints"):
+        single.pose(q[0, :-1])
 
 
 def test_body_points_follow_their_links():

@@ -27,32 +27,35 @@ class ArrayChain:
     Attributes:
         dof: number of movable joints, in the order of the description's `joint_names`.
         links: for every link from base to tip, fixed ones included, its body and its pose T_body_link.
+        steps: constant poses from the frame of one movable joint, its axis as z, to the next, from the base on.
+        columns, prismatic: where each of these joints stands in the joint vector, and whether it slides.
+        tool: constant pose from the last of these frames to the tool.
     """
 
     def __init__(self, description: ArmDescription) -> None:
         path = description.chain()
         names = description.joint_names
         self._joints = [joint for joint in path if joint.movable]
-        self._columns = [names.index(joint.name) for joint in self._joints]
+        self.prismatic = [joint.type == "prismatic" for joint in self._joints]
+        self.columns = [names.index(joint.name) for joint in self._joints]
         self.dof = len(names)
         self.links: dict[str, tuple[int, Pose]] = {}
-        # Constant transforms between one movable joint's frame, turned so that its axis is z, and the next.
-        self._steps: list[Pose] = []
+        self.steps: list[Pose] = []
         body, pose = 0, (np.eye(3), np.zeros(3))
         self.links[path[0].parent] = (body, pose)
         for joint in path:
             pose = compose(pose, (rotation_from_rpy(joint.origin_rpy), np.array(joint.origin_xyz)))
             if joint.movable:
                 align = _z_onto(np.array(joint.axis))
-                self._steps.append(compose(pose, (align, np.zeros(3))))
+                self.steps.append(compose(pose, (align, np.zeros(3))))
                 body, pose = body + 1, (align.T, np.zeros(3))
             self.links[joint.child] = (body, pose)
         offset = (*description.tool_offset, *(0.0,) * (6 - len(description.tool_offset)))
-        self._tool = compose(pose, (rotation_from_rpy(offset[3:]), np.array(offset[:3])))
+        self.tool = compose(pose, (rotation_from_rpy(offset[3:]), np.array(offset[:3])))
 
     def forward(self, q: np.ndarray) -> Pose:
         """Tool rotation (N, 3, 3) and position (N, 3) in the base frame, of joints (N, dof)."""
-        columns, position = _follow(self._walk(q)[-1], self._tool)
+        columns, position = _follow(self._walk(q)[-1], self.tool)
         return np.ascontiguousarray(columns.transpose(2, 1, 0)), np.ascontiguousarray(position.T)
 
     def pose(self, q: np.ndarray) -> np.ndarray:
@@ -63,9 +66,9 @@ class ArrayChain:
     def forward_and_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Tool rotation (N, 3, 3), position (N, 3) and geometric Jacobian (N, 6, dof), linear rows first."""
         frames = self._walk(q)
-        columns, position = _follow(frames[-1], self._tool)
+        columns, position = _follow(frames[-1], self.tool)
         jacobian = np.zeros((6, self.dof, len(q)))
-        for joint, column, (frame, origin) in zip(self._joints, self._columns, frames[1:], strict=True):
+        for joint, column, (frame, origin) in zip(self._joints, self.columns, frames[1:], strict=True):
             axis = frame[2]
             if joint.type == "prismatic":
                 jacobian[:3, column] = axis
@@ -98,7 +101,7 @@ class ArrayChain:
 
     def stretched_length(self, after: int) -> float:
         """Sum of the distances between joints, from the `after`-th joint on to the tool [m]."""
-        offsets = [position for _, position in (*self._steps[after:], self._tool)]
+        offsets = [position for _, position in (*self.steps[after:], self.tool)]
         return float(sum(np.linalg.norm(offset) for offset in offsets))
 
     def _walk(self, q: np.ndarray) -> list[Pose]:
@@ -110,7 +113,7 @@ class ArrayChain:
         sines, cosines = np.sin(values), np.cos(values)
         frame: Pose = (np.repeat(np.eye(3)[:, :, None], len(q), axis=2), np.zeros((3, len(q))))
         frames = [frame]
-        for joint, column, step in zip(self._joints, self._columns, self._steps, strict=True):
+        for joint, column, step in zip(self._joints, self.columns, self.steps, strict=True):
             frame = _moved(_follow(frame, step), joint, values[column], sines[column], cosines[column])
             frames.append(frame)
         return frames
