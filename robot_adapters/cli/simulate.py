@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -27,7 +28,10 @@ class SimulateConfig:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run until interrupted."""
+    """Run until interrupted or terminated."""
+    # Set even for SIGINT: a shell that starts this in the background leaves it ignored.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     config = draccus.parse(SimulateConfig, args=list(argv), prog="mimicik simulate")
     from robot_adapters.airbot.protocol import Tool
     from robot_adapters.airbot.simulated_arm import serve
