@@ -179,4 +179,8 @@ def test_an_arm_in_another_process_through_udp_multicast():
             assert arm.read().gripper is None
     finally:
         server.send_signal(signal.SIGINT)
-        assert server.wait(timeout=20) == 130
+        try:
+            status = server.wait(timeout=20)
+        finally:
+            server.kill()
+    assert status == 130
