@@ -13,10 +13,12 @@ pytest.importorskip("mujoco")
 from robot_adapters.airbot.bus import open_bus
 from robot_adapters.airbot.campaign import Outcome, run_campaign, run_case, specified_outcomes
 from robot_adapters.airbot.faults import Fault, FaultKind
+from robot_adapters.airbot.feedback import MotorRecord
 from robot_adapters.airbot.listener import BusListener
-from robot_adapters.airbot.protocol import OdMotor
+from robot_adapters.airbot.protocol import MotorFeedback, OdMotor
 from robot_adapters.airbot.soak import run_soak
 from robot_adapters.clock import SimulatedClock
+from robot_adapters.safety import SafetyLimits
 
 FAULTS = int(os.environ.get("MIMICIK_FAULTS", "9"))
 SOAK_SECONDS = float(os.environ.get("MIMICIK_SOAK_SECONDS", "6"))
@@ -59,6 +61,13 @@ def test_what_a_fault_may_lead_to_follows_from_kind_and_length(fault, outcomes):
 def test_a_storm_of_damaged_frames_is_taken_neither_for_heat_nor_for_motion(seed, duration, rate):
     case = run_case(Fault(FaultKind.CORRUPTED, None, 0.2, duration, rate), seed)
     assert case.complaints == ()
+
+
+def test_trouble_that_changes_its_name_is_trouble_in_the_end():
+    limits, record = SafetyLimits(), MotorRecord(OdMotor(1), 0.0)
+    for frame in range(40):
+        record.update(MotorFeedback(1, 0.0, 0.0, 0.0, 1 + frame % 2, 30, 30), 0.004 * frame, limits)
+        assert (record.trouble(limits) is not None) == (frame >= 24)
 
 
 @pytest.mark.timeout(0)

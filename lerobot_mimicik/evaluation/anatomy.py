@@ -64,7 +64,7 @@ def make_ordeals(description: ArmDescription, seed: int = 0) -> list[Ordeal]:
             # The nearest to the everyday posture.
             distance = np.abs(found[inside] - arm.home).max(axis=1)
             ordeals.append(_through(arm, gauge, kind, found[inside[distance.argmin()]], len(ordeals)))
-    return [*ordeals, _out_of_reach(arm, gauge, len(ordeals))]
+    return [*ordeals, _out_of_reach(arm, len(ordeals))]
 
 
 def undergo(solver: IKSolver, ordeals: Sequence[Ordeal]) -> dict[str, Rollout]:
@@ -124,7 +124,7 @@ def _through(arm: ArmArrays, gauge: SingularityGauge, kind: str, singular: Array
     return Ordeal(kind, Trajectory(index, q, target), half)
 
 
-def _out_of_reach(arm: ArmArrays, gauge: SingularityGauge, index: int) -> Ordeal:
+def _out_of_reach(arm: ArmArrays, index: int) -> Ordeal:
     """From the everyday posture straight away from the base, beyond any reach, and back."""
     rng = np.random.default_rng(0)
     samples = rng.uniform(arm.lower, arm.upper, (4096, len(arm.lower)))

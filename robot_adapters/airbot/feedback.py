@@ -18,6 +18,7 @@ _JUMP, _SPEED = 0.05, 10.0
 # Frames in a row before an error or a temperature counts, and before an implausible position is believed: some
 # damaged frames must neither stop the arm nor tell it to hold elsewhere.
 _STREAK, _BELIEVED = 5, 8
+_TROUBLED = 25  # frames in a row that report trouble, be it each time another
 _WARMING = 2  # degrees C that a motor can become hotter from one frame to the next
 
 
@@ -37,6 +38,7 @@ class MotorRecord:
     implausible: int = 0
     _bad_state: int = 0
     _too_hot: int = 0
+    _troubled: int = 0
     _doubted: int = 0
     _doubted_position: float = float("nan")
 
@@ -58,15 +60,18 @@ class MotorRecord:
         self.stamp = now
         self.frames += 1
         # Damaged frames in a row do not say the same; a motor in trouble does.
-        self._bad_state = (self._bad_state if same_error else 0) + 1 if self._bad() else 0
-        self._too_hot = (self._too_hot if warming <= _WARMING else 0) + 1 if self._hot(limits) else 0
+        bad, hot = self._bad(), self._hot(limits)
+        self._bad_state = (self._bad_state if same_error else 0) + 1 if bad else 0
+        self._too_hot = (self._too_hot if warming <= _WARMING else 0) + 1 if hot else 0
+        self._troubled = self._troubled + 1 if bad or hot else 0
 
     def trouble(self, limits: SafetyLimits) -> SafetyEvent | None:
         """The event that this motor's state asks for, if any."""
-        if self._bad_state >= _STREAK:
+        lasting = self._troubled >= _TROUBLED
+        if self._bad_state >= _STREAK or (lasting and self._bad()):
             what = error_name(self.motor, self.error) or "disabled"
             return MotorFault(f"motor {self.motor.id} reports {what} (code {self.error})")
-        if self._too_hot >= _STREAK:
+        if self._too_hot >= _STREAK or lasting:
             temperatures = f"{self.motor_temperature} C, its MOSFETs at {self.mosfet_temperature} C"
             most = f"{limits.max_motor_temperature:.0f} and {limits.max_mosfet_temperature:.0f} C"
             return OverTemperature(f"motor {self.motor.id} at {temperatures}; limits {most}")
