@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.solvers.base import IKSolver
+from robot_adapters.branches import BranchChange
 from robot_adapters.poses import PolicyFrames, decode_pose, pose_distance, towards
 from robot_adapters.poses import PoseFormat as PoseFormat
 from robot_adapters.reachability import closest_configuration
@@ -32,7 +33,8 @@ class IKStatus(enum.StrEnum):
     """What became of a target.
 
     REACHED: the command reaches it within the tolerances. RELAXED: it is in reach, and the command comes
-    near it. LIMITED: it is in reach, but further away than one step; the command is a step towards it.
+    near it. LIMITED: it is in reach, but further away than one step; the command is a step towards it, or
+    towards another configuration from which it can be followed.
     UNREACHABLE: no configuration around the present one reaches it; the command goes towards the closest.
     FAILED: the target or the solver's answer was not finite, or the solver gave up; the command holds.
     """
@@ -53,7 +55,8 @@ class IKResult:
         status: what became of the target.
         position_error, rotation_error: between FK(q) and the target [m, rad]; NaN without a finite target.
         step: largest joint motion of the command [rad].
-        source: who found the command: the solver, the descent to the closest configuration, or hold.
+        source: who found the command: the solver, the descent to the closest configuration, the change to
+            another branch, or hold.
         message: in words, empty when reached.
     """
 
@@ -80,6 +83,9 @@ class AdapterSettings:
         relaxed_position, relaxed_rotation: errors from which, for a target in reach, a step of damped least
             squares takes the place of the solver's answer [m, rad].
         resync: difference between measured and commanded joints from which the measured ones are used [rad].
+        branch_distance: largest joint motion of a change to another branch of the inverse kinematics, made
+            where a joint limit keeps the arm off a target that the other branch meets [rad]; 0: none is made.
+        branch_detour: how much further from the target than by staying the tool may come meanwhile [m].
     """
 
     reference: str = "commanded"
@@ -91,12 +97,16 @@ class AdapterSettings:
     relaxed_position: float = 0.005
     relaxed_rotation: float = 0.05
     resync: float = 0.25
+    branch_distance: float = 1.5
+    branch_detour: float = 0.02
 
     def __post_init__(self) -> None:
         if self.reference not in ("commanded", "measured"):
             raise ValueError(f"reference={self.reference!r}: expected 'commanded' or 'measured'")
         for each in fields(self):
             value = getattr(self, each.name)
+            if each.name == "branch_distance" and value == 0:
+                continue
             if each.name != "reference" and not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{each.name} must be finite and positive, got {value}")
 
@@ -118,6 +128,9 @@ class MimicIKAdapter:
         joints = description.joints()
         self.lower, self.upper = (np.array([getattr(j, side) for j in joints]) for side in ("lower", "upper"))
         self._command: Array | None = None
+        self._branch = BranchChange(
+            self.chain, self.lower, self.upper, self.settings.branch_distance, self.settings.branch_detour
+        )
 
     @classmethod
     def from_pretrained(cls, path: str | Path, device: str = "cpu", **settings: Any) -> MimicIKAdapter:
@@ -163,6 +176,7 @@ class MimicIKAdapter:
     def reset(self) -> None:
         """Forget the past: call it when a motion starts anew."""
         self._command = None
+        self._branch.cancel()
 
     def commanded(self, q: ArrayLike) -> None:
         """Say what was really sent [rad] (dof,), where a safety layer changed or refused the last command."""
@@ -218,13 +232,20 @@ class MimicIKAdapter:
         if self._command is not None and np.abs(self._command - measured).max() > settings.resync:
             self._command, known = None, False
         if not known:
-            self.solver.reset(measured[None] if self.solver.batched else measured)
+            self._restart(measured)
         if self._command is None or settings.reference == "measured":
             return measured
         return self._command
 
+    def _restart(self, q: Array) -> None:
+        self.solver.reset(q[None] if self.solver.batched else q)
+        self._branch.cancel()
+
     def _solve(self, start: Array, target: Array) -> IKResult:
         settings = self.settings
+        goal = self._branch.follow(target, self._tolerance)
+        if goal is not None:
+            return self._changing(start, goal, target)
         here = self.forward(start)
         waypoint, share = towards(here, target, self._lower_step, self._upper_step)
         try:
@@ -245,6 +266,9 @@ class MimicIKAdapter:
         best = pose_distance(self.forward(closest), target)
         other, _ = self._within_a_step(start, closest)
         if not self._is_reached(best):
+            goal = self._branch.look(start, closest, target, self._tolerance)
+            if goal is not None:
+                return self._changing(start, goal, target)
             # What a network says about poses outside its training is no guide to the edge of the workspace.
             message = f"the closest that the arm comes to is {best[0] * 1e3:.1f} mm, {best[1]:.3f} rad off"
             return self._judged(start, other, IKStatus.UNREACHABLE, target, "descent", message)
@@ -260,6 +284,14 @@ class MimicIKAdapter:
         if stalled:
             return self._judged(start, other, status, target, "descent", message)
         return self._judged(start, q, status, target, self.solver.name, message)
+
+    def _changing(self, start: Array, goal: Array, target: Array) -> IKResult:
+        q, on_the_way = self._within_a_step(start, goal)
+        if not on_the_way:
+            # The solver begins anew: its history lies in the other branch.
+            self._restart(q)
+        message = f"a joint limit is in the way: {_step(start, goal):.2f} rad to a configuration without"
+        return self._judged(start, q, IKStatus.LIMITED, target, "branch", message)
 
     def _judged(
         self, start: Array, q: Array, status: IKStatus, target: Array, source: str, message: str
@@ -283,8 +315,12 @@ class MimicIKAdapter:
             return q, False
         return start + (q - start) * (self.settings.max_step / step), True
 
+    @property
+    def _tolerance(self) -> tuple[float, float]:
+        return self.settings.position_tolerance, self.settings.rotation_tolerance
+
     def _is_reached(self, errors: tuple[float, float]) -> bool:
-        return errors[0] <= self.settings.position_tolerance and errors[1] <= self.settings.rotation_tolerance
+        return errors[0] <= self._tolerance[0] and errors[1] <= self._tolerance[1]
 
     def _cost(self, errors: tuple[float, float]) -> float:
         """Distance in tolerances, to compare errors by."""

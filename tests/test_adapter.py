@@ -98,6 +98,55 @@ def test_a_solver_that_does_nothing_is_told_apart_from_a_target_out_of_reach():
     assert result.position_error < adapter.settings.relaxed_position
 
 
+# Joint 3 at its limit behind the elbow singularity; the same targets lie before it as well.
+CAUGHT = np.array([0.51, -1.78, ARM.joints()[2].upper, 1.41, -1.59, -1.84])
+BEFORE = np.array([0.51, -1.33, 2.26, 1.40, -1.14, -1.77])
+
+
+def test_an_arm_caught_at_a_joint_limit_goes_to_the_branch_that_follows_the_target():
+    adapter, q = adapter_with("hold"), CAUGHT
+    # The way out: the joints before the singularity, stretched further frame by frame.
+    motion = [BEFORE + share * np.array([-0.1, 0.4, -0.9, 0.0, 0.2, 0.0]) for share in np.linspace(0, 1, 40)]
+    results = []
+    for joints in motion:
+        results.append(adapter.solve(q, adapter.forward(joints)))
+        q = results[-1].q
+    changing = [result for result in results if result.source == "branch"]
+    assert 8 <= len(changing) <= 20
+    assert all(result.status is IKStatus.LIMITED and "limit" in result.message for result in changing)
+    assert max(result.step for result in results) <= adapter.settings.max_step + 1e-12
+    assert max(result.position_error for result in results) < 0.04
+    assert results[-1].position_error < 0.005
+    assert np.abs(q - motion[-1]).max() < 0.05
+
+
+def test_without_changes_of_branch_the_arm_stays_and_says_so():
+    adapter, q = adapter_with("hold", branch_distance=0.0), CAUGHT
+    for share in np.linspace(0, 1, 40):
+        result = adapter.solve(
+            q, adapter.forward(BEFORE + share * np.array([-0.1, 0.4, -0.9, 0.0, 0.2, 0.0]))
+        )
+        q = result.q
+    assert result.status is IKStatus.UNREACHABLE
+    assert result.position_error > 0.05
+
+
+def test_no_branch_is_changed_for_a_target_that_none_reaches():
+    adapter, q = adapter_with("hold"), CAUGHT
+    beyond = adapter.forward(BEFORE) + np.array([1.0, 0, 0, 0, 0, 0, 0])
+    for _ in range(20):
+        result = adapter.solve(q, beyond)
+        q = result.q
+        assert result.status is IKStatus.UNREACHABLE
+
+
+def test_a_change_of_branch_ends_with_a_new_motion():
+    adapter = adapter_with("hold")
+    assert adapter.solve(CAUGHT, adapter.forward(BEFORE)).source == "branch"
+    adapter.reset()
+    assert adapter.solve(HOME, adapter.forward(HOME)).status is IKStatus.REACHED
+
+
 @pytest.mark.parametrize("solver", [Silent(), Wild()])
 def test_no_solver_can_make_it_jump(solver):
     adapter = MimicIKAdapter(solver, ARM)
