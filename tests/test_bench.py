@@ -12,6 +12,7 @@ from lerobot_mimicik.cli.main import main
 from lerobot_mimicik.evaluation.bench import LearnedRow, over_seeds
 from lerobot_mimicik.evaluation.bench_plots import plot_errors, plot_fk_weights
 from lerobot_mimicik.evaluation.report import markdown_table
+from lerobot_mimicik.evaluation.rollouts import _MODES, closed_loop
 from lerobot_mimicik.solvers import register_solver
 
 TINY = {
@@ -68,6 +69,10 @@ def test_the_table_has_every_row_and_says_what_is_unavailable(made):
     assert "| test_not_installed | - |" in page.replace("test not installed", "test_not_installed")
     assert "this solver needs a library that is not installed" in page
     assert " ± " in page
+    # Beside the rows: how each is configured.
+    assert "- mlp: The paper's pure MLP" in page
+    assert "recipe configs/mlp_small.json" in page
+    assert "- hold: The command is the measured joints" in page
     figures = {path.name for path in (out / "figures").iterdir()}
     assert figures == {"errors_test.png", "errors_test.txt", "anatomy.png", "anatomy.txt"}
     assert {path.name for path in (out / "anatomy").iterdir()} == {"mlp.npz", "hold.npz"}
@@ -80,6 +85,29 @@ def test_each_training_says_what_it_cost(made):
         assert training[name]["steps"] == 4
         assert training[name]["minutes"] > 0
         assert "lerobot-train" in training[name]["command"]
+
+
+def test_a_part_of_the_data_is_a_row_of_its_own(made):
+    out, options = made
+    short = [*options, "--solvers=hold", "--modes=open_loop,closed_loop", "--seconds=0.25"]
+    assert main(short) == 0
+    assert [row["frames"] for row in table(out)["rows"]] == [10, 10]
+    assert main([*options, "--solvers=hold"]) == 0
+    assert [row["frames"] for row in table(out)["rows"]] == [24, 24]
+
+
+def test_only_the_plant_is_shortened_where_only_that_is_asked(made, monkeypatch):
+    out, options = made
+    driven = []
+
+    def stand_in(solver, trajectories, given):
+        driven.extend(len(one) for one in trajectories)
+        return closed_loop(solver, trajectories, given)
+
+    monkeypatch.setitem(_MODES, "plant", stand_in)
+    assert main([*options, "--solvers=hold", "--modes=open_loop,plant", "--plant_seconds=0.75"]) == 0
+    assert driven == [12, 3]
+    assert [(row["mode"], row["frames"]) for row in table(out)["rows"]] == [("open_loop", 24), ("plant", 15)]
 
 
 def test_another_call_adds_rows_and_repeats_nothing(made):

@@ -37,7 +37,7 @@ def test_recordings_become_a_dataset(tmp_path, source, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--source=video", "--output=x"], "one of synthetic, ee, got 'video'"),
+        (["--source=video", "--output=x"], "one of synthetic, ee, joints, got 'video'"),
         (["--source=ee", "--output=x"], "--input is missing"),
         (["--source=ee", "--input=x"], "--output is missing"),
         (["--source=synthetic", "--output=x"], "--episodes must be positive"),

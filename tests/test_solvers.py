@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from evaluation_cases import DampedLeastSquares, Scripted, airbot, trajectory
 
-from lerobot_mimicik.solvers import known_solvers, make_solver, register_solver
+from lerobot_mimicik.solvers import known_solvers, make_solver, register_solver, solver_configuration
+from lerobot_mimicik.solvers.mimicik import LEARNED
 
 
 def test_hold_answers_where_the_arm_is():
@@ -35,3 +36,9 @@ def test_recorded_answers_do_not_depend_on_whether_a_solver_is_batched():
     expected = batched.solve(one.q, one.target)
     np.testing.assert_allclose(batched.solve_recorded(one.q, one.target), expected, atol=1e-9)
     np.testing.assert_allclose(single.solve_recorded(one.q, one.target), expected, atol=1e-9)
+
+
+def test_every_solver_says_how_it_is_configured():
+    for name in set(known_solvers()) - {"remote", *LEARNED}:
+        if not name.startswith("test_"):
+            assert solver_configuration(name), name

@@ -1,6 +1,7 @@
 """Properties of reading trajectories from LeRobot datasets."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,14 @@ import torch
 from evaluation_cases import airbot, trajectory
 
 from lerobot_mimicik.data.writer import Episode, write_dataset
-from lerobot_mimicik.evaluation.trajectories import Layout, Trajectory, distinct_names, load_trajectories
+from lerobot_mimicik.evaluation.trajectories import (
+    Layout,
+    Trajectory,
+    TrajectorySet,
+    distinct_names,
+    first_seconds,
+    load_trajectories,
+)
 
 
 def fk(q):
@@ -95,3 +103,15 @@ def test_datasets_are_called_by_as_little_of_their_path_as_tells_them_apart():
 def test_shapes_that_do_not_belong_together_are_refused():
     with pytest.raises(ValueError, match="Trajectory 3"):
         Trajectory(3, np.zeros((4, 6)), np.zeros((5, 7)))
+
+
+def test_the_beginning_of_a_set():
+    one = Trajectory(3, np.zeros((30, 6)), np.tile([0, 0, 0, 0, 0, 0, 1.0], (30, 1)))
+    other = Trajectory(4, one.q[:10], one.target[:10])
+    whole = TrajectorySet("set", Path("set"), 10.0, (one, other))
+    assert [len(each) for each in first_seconds(whole).trajectories] == [30, 10]
+    assert [len(each) for each in first_seconds(whole, of_each=2).trajectories] == [20, 10]
+    assert [len(each) for each in first_seconds(whole, in_all=3.5).trajectories] == [30, 5]
+    assert [each.index for each in first_seconds(whole, of_each=2, in_all=1).trajectories] == [3]
+    with pytest.raises(ValueError, match="less than a frame"):
+        first_seconds(whole, of_each=0.01)

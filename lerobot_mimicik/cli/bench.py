@@ -11,6 +11,7 @@ Everything is kept in the output folder, and running the command again goes on w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -51,8 +52,13 @@ class BenchConfig:
     # Rows: solvers by name, and the learned mimicik, mlp and unet_diffusion, each also with _nofk (no FK loss)
     # or _fk0.2 (that weight of it).
     solvers: str = "mimicik,mimicik_nofk,mlp,unet_diffusion,hold"
-    # open_loop: recorded joints in at every frame. closed_loop: each command is the next measurement.
+    # open_loop: recorded joints in at every frame. closed_loop: each command is the next measurement. plant:
+    # the commands drive a simulated AIRBOT Play over its bus, and what that measures is the next measurement.
     modes: str = "open_loop,closed_loop"
+    # Measure on the first seconds of each episode only; 0: on all of it.
+    seconds: float = 0.0
+    # Mode plant runs at a few times real time: drive only the first so many seconds of each dataset; 0: all.
+    plant_seconds: float = 0.0
     # Trainings of each learned row, with the seeds 0, 1, ...
     seeds: int = 1
     # Training steps; 0: as the recipes say.
@@ -69,6 +75,21 @@ class BenchConfig:
     device: str = ""
     # Number of single queries timed for the latency.
     latency_queries: int = 200
+
+
+@dataclass(frozen=True)
+class Occasion:
+    """What each solver is measured on.
+
+    Attributes:
+        recording: A dataset, or the part of it that is used.
+        mode: How it is driven along it.
+        place: The dataset's folder and which part of it, as the summary knows it.
+    """
+
+    recording: Recording
+    mode: str
+    place: str
 
 
 def main(argv: Sequence[str]) -> int:
@@ -93,7 +114,12 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
     from lerobot_mimicik.evaluation.bench import LearnedRow, Summary, learned_names
     from lerobot_mimicik.evaluation.evaluate import study
     from lerobot_mimicik.evaluation.rollouts import known_modes
-    from lerobot_mimicik.evaluation.trajectories import Layout, distinct_names, load_trajectories
+    from lerobot_mimicik.evaluation.trajectories import (
+        Layout,
+        distinct_names,
+        first_seconds,
+        load_trajectories,
+    )
     from lerobot_mimicik.kinematics.chain import SerialArm
     from lerobot_mimicik.solvers import known_solvers
 
@@ -121,10 +147,16 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
     layout = Layout(joint_units=config.joint_units, target=config.target)
     episodes = numbers(config.episodes, "--episodes") or None
     ordeals = make_ordeals(description) if description.home else []
-    recordings = [
-        study(arm, load_trajectories(root, arm, layout, episodes, name))
-        for root, name in zip(roots, distinct_names(roots), strict=True)
-    ]
+    occasions: list[Occasion] = []
+    for root, name in zip(roots, distinct_names(roots), strict=True):
+        whole = load_trajectories(root, arm, layout, episodes, name)
+        kept = study(arm, first_seconds(whole, of_each=config.seconds or math.inf))
+        for mode in modes:
+            if mode == "plant" and config.plant_seconds:
+                part = study(arm, first_seconds(kept.set, in_all=config.plant_seconds))
+                occasions.append(Occasion(part, mode, _place(config, root, config.plant_seconds)))
+            else:
+                occasions.append(Occasion(kept, mode, _place(config, root)))
     summary = Summary(out / "summary.json")
     failed = False
     for name, row in rows.items():
@@ -141,10 +173,10 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
                     print(f"{name}, seed {seed}: {error}", flush=True)
                     break
                 policy = str(training.run)
-            if not _measure(config, name, seed, policy, arm, recordings, modes, ordeals, summary, progress):
+            if not _measure(config, name, seed, policy, arm, occasions, ordeals, summary, progress):
                 break
-            _write(config, out, names, modes, recordings, summary)
-    _write(config, out, names, modes, recordings, summary)
+            _write(config, out, names, occasions, summary)
+    _write(config, out, names, occasions, summary)
     _write_anatomy(out, names, arm, ordeals)
     return failed
 
@@ -167,23 +199,18 @@ def _measure(
     seed: int,
     policy: str | None,
     arm: SerialArm,
-    recordings: Sequence[Recording],
-    modes: Sequence[str],
+    occasions: Sequence[Occasion],
     ordeals: Sequence[Ordeal],
     summary: Summary,
     progress: bool,
 ) -> bool:
     """Measure one solver wherever it was not measured before; False if it cannot be had."""
     from lerobot_mimicik.evaluation.anatomy import save_commands, undergo
-    from lerobot_mimicik.evaluation.evaluate import evaluate
+    from lerobot_mimicik.evaluation.evaluate import evaluate_one
+    from lerobot_mimicik.evaluation.latency import measure_latency
     from lerobot_mimicik.solvers import make_solver
 
-    missing = [
-        (recording, mode)
-        for recording in recordings
-        for mode in modes
-        if summary.find(name, seed, _place(config, recording), mode) is None
-    ]
+    missing = [each for each in occasions if summary.find(name, seed, each.place, each.mode) is None]
     commands = _commands_file(Path(config.out), name)
     undergoes = bool(ordeals) and seed == 0 and not commands.is_file()
     if not missing and not undergoes:
@@ -197,19 +224,26 @@ def _measure(
         summary.unavailable[name] = str(error)
         print(f"{name} is unavailable: {error}", flush=True)
         return False
-    for recording, mode in missing:
-        for evaluation in evaluate(
-            arm, {name: solver}, [recording], [mode], config.latency_queries, seed, progress
-        ):
-            summary.add(evaluation, seed, _place(config, recording))
+    if missing:
+        latency = measure_latency(solver, missing[0].recording.set.trajectories[0], config.latency_queries)
+    for each in missing:
+        evaluation = evaluate_one(arm, name, solver, each.recording, each.mode, latency, seed, progress)
+        summary.add(evaluation, seed, each.place)
     if undergoes:
         save_commands(commands, undergo(solver, ordeals))
     return True
 
 
-def _place(config: BenchConfig, recording: Recording) -> str:
+def _place(config: BenchConfig, root: str, in_all: float = 0.0) -> str:
     """What was measured on, as the summary knows it."""
-    return str(recording.set.root) + (f", episodes {config.episodes}" if config.episodes else "")
+    return "".join(
+        [
+            str(Path(root)),
+            f", episodes {config.episodes}" if config.episodes else "",
+            f", first {config.seconds:g} s of each" if config.seconds else "",
+            f", first {in_all:g} s in all" if in_all else "",
+        ]
+    )
 
 
 def _commands_file(out: Path, name: str) -> Path:
@@ -236,33 +270,39 @@ def _write(
     config: BenchConfig,
     out: Path,
     names: Sequence[str],
-    modes: Sequence[str],
-    recordings: Sequence[Recording],
+    occasions: Sequence[Occasion],
     summary: Summary,
 ) -> None:
     """The table and figures of what was asked for, as far as it is measured."""
     from lerobot_mimicik.configuration_mimicik import MimicIKConfig
-    from lerobot_mimicik.evaluation.bench import write_table
+    from lerobot_mimicik.evaluation.bench import LearnedRow, write_table
     from lerobot_mimicik.evaluation.bench_plots import plot_errors, plot_fk_weights, plot_seeds
     from lerobot_mimicik.evaluation.report import describe_recording
+    from lerobot_mimicik.solvers import solver_configuration
 
     asked = [
-        (summary.find(name, seed, _place(config, recording), mode), recording.set.name)
-        for recording in recordings
-        for mode in modes
+        (summary.find(name, seed, each.place, each.mode), each.recording.set.name)
+        for each in occasions
         for name in names
         for seed in range(config.seeds)
     ]
     # A dataset's name is told from the others asked for now, which may be others than before.
     rows = [row | {"dataset": dataset} for row, dataset in asked if row is not None]
-    about = [describe_recording(recording) for recording in recordings]
+    about = [describe_recording(each.recording) | {"mode": each.mode} for each in occasions]
     notes = [
-        f"{data['name']}: {data['episodes']} episodes, {data['frames']} frames at {data['fps']:g} fps."
+        f"{data['name']}, {data['mode'].replace('_', ' ')}: {data['episodes']} episodes, {data['frames']} "
+        f"frames at {data['fps']:g} fps."
         + (" Its joint labels are synthetic (generated or retargeted)." if data["synthetic_labels"] else "")
         for data in about
     ]
     summary.save()
-    write_table(out, rows, summary.training, summary.unavailable, asdict(config) | {"datasets": about}, notes)
+    learned = {name: LearnedRow.of(name) for name in names}
+    configurations = {
+        name: solver_configuration(name) if row is None else row.configuration(config.size)
+        for name, row in learned.items()
+    }
+    settings = asdict(config) | {"datasets": about}
+    write_table(out, rows, summary.training, summary.unavailable, settings, notes, configurations)
     if rows:
         _save_plots(
             out, [*plot_errors(rows), plot_fk_weights(rows, MimicIKConfig.fk_weight), plot_seeds(rows)]

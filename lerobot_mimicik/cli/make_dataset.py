@@ -1,4 +1,4 @@
-"""`mimicik make-dataset`: training data, generated or retargeted from recorded hand motion."""
+"""`mimicik make-dataset`: datasets, generated, retargeted from recorded hand motion, or made of an arm's logs."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from lerobot_mimicik.data.retargeting.retarget import RetargetOptions
 from lerobot_mimicik.data.writer import SPACES
 
 if TYPE_CHECKING:
+    from lerobot_mimicik.data.joint_logs import LogSummary
     from lerobot_mimicik.data.retargeting.report import RetargetSummary
     from lerobot_mimicik.data.teleoperation.synthetic import SyntheticSummary
+    from lerobot_mimicik.kinematics.arms import ArmDescription
 
-HELP = "Make a training dataset: generate teleoperation, or retarget recorded end-effector motion to an arm."
+HELP = "Make a dataset: generate teleoperation, retarget recorded end-effector motion, or read an arm's logs."
 
-SOURCES = ("synthetic", "ee")
+SOURCES = ("synthetic", "ee", "joints")
 _SYNTHETIC_TEST_SHARE = 0.15
 
 
@@ -46,7 +48,7 @@ class RobotOptions:
 
 @dataclass
 class ColumnOptions:
-    """source=ee: which columns of the input mean what; usual names are found by themselves."""
+    """source=ee, joints: which columns of the input mean what; usual names are found by themselves."""
 
     # Column of stamps.
     time: str = ""
@@ -56,6 +58,12 @@ class ColumnOptions:
     fps: float = 0.0
     # Three columns, or one of 3-vectors [m]; of a LeRobot dataset: the feature with the poses.
     position: str = ""
+    # source=joints: columns of the measured joints, in the arm's order.
+    joints: str = ""
+    # source=joints: columns of the commanded ones; empty: each frame aims at the next measured joints.
+    commands: str = ""
+    # source=joints: rad or deg.
+    joint_units: str = "rad"
     # Four columns (quaternion) or three (rotation vector), or one of such vectors.
     rotation: str = ""
     # Order of quaternion components: xyzw or wxyz.
@@ -111,13 +119,15 @@ class MakeDatasetConfig:
     test_share, OUTPUT/train and OUTPUT/test. Input: parquet or CSV (time, position, quaternion or rotation
     vector, group columns), a folder of such files, UMI-style tables (robot0_eef_pos,
     robot0_eef_rot_axis_angle), or a LeRobot dataset with poses. zarr is not read: convert it first.
+    source=joints writes OUTPUT from logs of an arm's joints (parquet or CSV, or a folder of such files): time,
+    measured joints (q1, q2, ... or the joints' names) and, where --columns.commands names them, commanded ones.
     """
 
-    # synthetic: generated teleoperation; ee: retargeted end-effector recordings.
+    # synthetic: generated teleoperation; ee: retargeted end-effector recordings; joints: an arm's logs.
     source: str = "synthetic"
     # Folder of the dataset to write.
     output: str = ""
-    # source=ee: file, folder or LeRobot dataset to read.
+    # source=ee, joints: file, folder or LeRobot dataset to read.
     input: str = ""
     robot: RobotOptions = field(default_factory=RobotOptions)
     # source=synthetic: number of episodes, train and test together. source=ee: first recordings only; 0: all.
@@ -161,7 +171,7 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | RetargetSummary:
+def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | RetargetSummary | LogSummary:
     """Make the dataset.
 
     Raises:
@@ -208,10 +218,12 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
             overwrite=config.overwrite,
             space=config.space,
         )
+    if not config.input:
+        raise ValueError("--input is missing: the file, folder or LeRobot dataset to read")
+    if config.source == "joints":
+        return _write_logs(config, description)
     from lerobot_mimicik.data.retargeting.dataset import JobOptions, retarget_dataset
 
-    if not config.input:
-        raise ValueError("--input is missing: the file, folder or LeRobot dataset to retarget")
     job = JobOptions(
         workers=config.workers,
         resume=config.resume,
@@ -219,7 +231,7 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
         test_share=config.test_share or 0.0,
         lag_s=config.lag or 0.0,
         task=config.task,
-        robot_type=None if "/" in robot.name else robot.name,
+        robot_type=_robot_type(robot),
         progress=progress,
         limit=config.episodes,
         space=config.space,
@@ -232,6 +244,41 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
         _source_columns(config.columns),
         job,
     )
+
+
+def _write_logs(config: MakeDatasetConfig, description: ArmDescription) -> LogSummary:
+    from lerobot_mimicik.data.joint_logs import LogColumns, write_joint_logs
+
+    for option in ("episodes", "lag", "test_share", "resume"):
+        if getattr(config, option):
+            raise ValueError(f"--{option} does not belong to --source=joints")
+    columns = config.columns
+    return write_joint_logs(
+        config.input,
+        config.output,
+        description,
+        LogColumns(
+            joints=tuple(words(columns.joints)),
+            commands=tuple(words(columns.commands)),
+            units=columns.joint_units,
+            time=columns.time,
+            time_unit=columns.time_unit,
+            fps=columns.fps,
+            groups=tuple(words(columns.groups)),
+            session=tuple(words(columns.session)),
+            task=columns.task,
+        ),
+        fps=config.fps,
+        max_gap=config.fit.max_gap,
+        min_duration=config.fit.min_duration,
+        robot_type=_robot_type(config.robot),
+        overwrite=config.overwrite,
+        space=config.space,
+    )
+
+
+def _robot_type(robot: RobotOptions) -> str | None:
+    return None if "/" in robot.name else robot.name
 
 
 def _retarget_options(config: MakeDatasetConfig) -> RetargetOptions:

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 GRIPPER_NAME = "gripper.pos"
 ARM_FILE = "meta/arm.json"
+# Only in datasets whose joints were recorded; in all others made here they were generated or computed.
+LOG_FILE = "meta/joint_log.json"
 SPACES = ("joints", "ee")
 _QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)  # those LeRobot stores
 

@@ -22,6 +22,11 @@ from lerobot_mimicik.evaluation.evaluate import Evaluation
 from lerobot_mimicik.evaluation.report import ROW_KEYS, definitions, markdown_table
 
 _RECIPES = {"mimicik": "{size}.json", "mlp": "mlp_{size}.json", "unet_diffusion": "unet_{size}.json"}
+_ABOUT = {
+    "mimicik": "The paper's policy: SuDeepDiT as a minimal iterative policy, with FK consistency",
+    "mlp": "The paper's pure MLP, one forward pass",
+    "unet_diffusion": "1-D UNet, DDPM with 10 steps (diffusers)",
+}
 _NAME = re.compile(rf"({'|'.join(_RECIPES)})(?:_(nofk)|_fk(\d+(?:\.\d+)?))?")
 # Counts, of which a row shows the worst seed's.
 _WORST = ("frames", "nonfinite", "episodes")
@@ -58,6 +63,11 @@ class LearnedRow:
     def options(self) -> list[str]:
         """Options of `lerobot-train` beside the recipe's."""
         return [] if self.fk_weight is None else [f"--policy.fk_weight={self.fk_weight:g}"]
+
+    def configuration(self, size: str) -> str:
+        """What tables say beside the row."""
+        weight = "" if self.fk_weight is None else f", FK weight {self.fk_weight:g}"
+        return f"{_ABOUT[self.base]}; recipe configs/{self.recipe(size)}{weight}, trained by lerobot-train"
 
 
 def learned_names() -> str:
@@ -140,6 +150,7 @@ def write_table(
     unavailable: Mapping[str, str],
     settings: Mapping[str, Any],
     notes: Sequence[str],
+    configurations: Mapping[str, str],
 ) -> None:
     """Write ``table.json`` and ``table.md``.
 
@@ -150,6 +161,7 @@ def write_table(
         unavailable: As `Summary.unavailable`.
         settings: What the benchmark was asked to do.
         notes: Sentences on the datasets.
+        configurations: How each row is configured and after what, by its name.
     """
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     for row in rows:
@@ -167,6 +179,7 @@ def write_table(
         ],
         "training": training,
         "unavailable": unavailable,
+        "configurations": configurations,
         "settings": settings,
         "definitions": definitions(),
     }
@@ -177,6 +190,7 @@ def write_table(
         lines += ["", f"Learned rows: mean ± standard deviation over up to {most} seeds."]
     if unavailable:
         lines += ["", "Unavailable:", "", *(f"- {name}: {reason}" for name, reason in unavailable.items())]
+    lines += ["", "## Rows", "", *(f"- {name}: {text}." for name, text in configurations.items() if text)]
     if training:
         lines += ["", "## Training", "", "| run | steps | minutes | machine |", "|---|---:|---:|---|"]
         lines += [

@@ -93,12 +93,25 @@ def evaluate(
     for recording in recordings:
         for mode in modes:
             for name, solver in solvers.items():
-                torch.manual_seed(seed)
-                label = f"{name}, {mode.replace('_', ' ')}, {recording.set.name}"
-                options = RolloutOptions(seed=seed, progress=progress, label=label)
-                rollouts = make_rollouts(mode, solver, recording.set.trajectories, options)
-                traces = tuple(measure(arm, rollouts))
-                yield make_evaluation(name, mode, recording, traces, latencies[name])
+                yield evaluate_one(arm, name, solver, recording, mode, latencies[name], seed, progress)
+
+
+def evaluate_one(
+    arm: SerialArm,
+    name: str,
+    solver: IKSolver,
+    recording: Recording,
+    mode: str,
+    latency: Latency,
+    seed: int = 0,
+    progress: bool = False,
+) -> Evaluation:
+    """Evaluate one solver on one dataset in one mode; see `evaluate`."""
+    torch.manual_seed(seed)
+    label = f"{name}, {mode.replace('_', ' ')}, {recording.set.name}"
+    options = RolloutOptions(seed=seed, progress=progress, label=label)
+    rollouts = make_rollouts(mode, solver, recording.set.trajectories, options)
+    return make_evaluation(name, mode, recording, tuple(measure(arm, rollouts)), latency)
 
 
 def make_evaluation(

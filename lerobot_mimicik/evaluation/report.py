@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from lerobot_mimicik.data.writer import ARM_FILE
+from lerobot_mimicik.data.writer import ARM_FILE, LOG_FILE
 from lerobot_mimicik.evaluation import verdict as verdict_rules
 from lerobot_mimicik.evaluation.evaluate import Recording
 from lerobot_mimicik.evaluation.metrics import ESTOP_RAD, JOINT_SPIKE_RAD, LIMIT_TOLERANCE_RAD
@@ -89,8 +89,10 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
         "episodes": len(recording.set.trajectories),
         "frames": recording.set.frames,
         "singular_passages": sum(map(len, recording.passages)),
-        # Only datasets that this project made name their arm; their joints were generated or retargeted.
-        "synthetic_labels": (recording.set.root / ARM_FILE).is_file(),
+        # Only datasets that this project made name their arm; unless they were made of a log of joints,
+        # these were generated or retargeted.
+        "synthetic_labels": (recording.set.root / ARM_FILE).is_file()
+        and not (recording.set.root / LOG_FILE).is_file(),
         "smallest_singular_value": float(min(value.min() for value in recording.singular_value)),
     }
 

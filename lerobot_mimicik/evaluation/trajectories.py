@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -146,6 +147,32 @@ def load_trajectories(
     if not trajectories:
         raise ValueError(f"{root} has no episode with a frame to evaluate.")
     return TrajectorySet(name or root.name, root, float(meta.fps), tuple(trajectories))
+
+
+def first_seconds(
+    trajectories: TrajectorySet, of_each: float = math.inf, in_all: float = math.inf
+) -> TrajectorySet:
+    """The beginning of each trajectory, and of these the first ones that fill a time in all.
+
+    Args:
+        trajectories: the whole set.
+        of_each: longest that a trajectory may be, s.
+        in_all: longest that all of them may be together, s; the last one is cut to fit.
+
+    Raises:
+        ValueError: If a time is shorter than a frame.
+    """
+    frames_each, left = (min(seconds * trajectories.fps, 1e15) for seconds in (of_each, in_all))
+    if frames_each < 1 or left < 1:
+        raise ValueError(f"{min(of_each, in_all):g} s is less than a frame at {trajectories.fps:g} fps.")
+    kept: list[Trajectory] = []
+    for one in trajectories.trajectories:
+        length = int(min(len(one), frames_each, left))
+        if not length:
+            break
+        kept.append(Trajectory(one.index, one.q[:length], one.target[:length]))
+        left -= length
+    return replace(trajectories, trajectories=tuple(kept))
 
 
 def distinct_names(roots: Sequence[str | Path]) -> list[str]:

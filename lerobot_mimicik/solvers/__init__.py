@@ -23,6 +23,7 @@ from lerobot_mimicik.solvers.base import (
     known_solvers,
     make_solver,
     register_solver,
+    solver_configuration,
 )
 
 __all__ = [
@@ -41,5 +42,6 @@ __all__ = [
     "pybullet",
     "register_solver",
     "remote",
+    "solver_configuration",
     "ssik",
 ]

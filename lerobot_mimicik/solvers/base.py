@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,12 @@ class IKSolver(ABC):
         name: How tables call the solver.
         batched: Whether ``reset``, ``solve`` and ``select`` take a leading batch axis, one row per arm that
             is driven independently of the others. Without it they take single configurations only.
+        configuration: How it is configured and after what, with the source: what tables say beside its row.
     """
 
     name: str
     batched: bool = False
+    configuration: ClassVar[str] = ""
 
     @abstractmethod
     def reset(self, q: Array) -> None:
@@ -102,6 +104,11 @@ def register_solver(name: str, needs: tuple[Package, ...] = ()) -> Callable[[Sol
 def known_solvers() -> tuple[str, ...]:
     """Names that ``make_solver`` takes, sorted."""
     return tuple(sorted(_FACTORIES))
+
+
+def solver_configuration(name: str) -> str:
+    """The `configuration` of a known solver; it need not be available."""
+    return getattr(_FACTORIES[name], "configuration", "")
 
 
 def available_solvers() -> dict[str, str | None]:

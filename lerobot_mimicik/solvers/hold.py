@@ -11,6 +11,7 @@ class HoldSolver(IKSolver):
     """Answers ``q_curr`` to every question (delta q = 0)."""
 
     name = "hold"
+    configuration = "The command is the measured joints: what the data alone gives"
     batched = True
 
     def __init__(self, arm: SerialArm) -> None:

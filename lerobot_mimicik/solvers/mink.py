@@ -30,6 +30,12 @@ class MinkSolver(FrameTaskSolver):
     """Differential inverse kinematics with a frame task, iterated; see the module."""
 
     name = "mink"
+    configuration = (
+        "One FrameTask, costs 1 and 1, LM damping 1e-3, up to 20 quadratic programs (DAQP) from "
+        "the measured joints, joint limits and at most 0.1 rad from the measured joints as "
+        "ConfigurationLimit. After "
+        "https://github.com/kevinzakka/mink/blob/main/examples/arm_ur5e.py"
+    )
 
     def __init__(self, arm: SerialArm, **options: Any) -> None:
         """

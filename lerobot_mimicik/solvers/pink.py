@@ -30,6 +30,12 @@ class PinkSolver(FrameTaskSolver):
     """Differential inverse kinematics with a frame task, iterated; see the module."""
 
     name = "pink"
+    configuration = (
+        "One FrameTask, costs 1 and 1, LM damping 1e-3, up to 20 quadratic programs (DAQP) from "
+        "the measured joints, joint limits and at most 0.1 rad from the measured joints as "
+        "ConfigurationLimit, no PostureTask. After "
+        "https://github.com/stephane-caron/pink/blob/main/examples/arm_ur5.py"
+    )
     # The box holds to the QP's tolerance, which is looser than the check.
     _solve_options: ClassVar[dict[str, Any]] = {"safety_break": False}
 

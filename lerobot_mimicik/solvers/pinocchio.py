@@ -29,6 +29,12 @@ class PinocchioSolver(IterativeSolver):
     """Damped least squares within joint limits and step bound; see the module."""
 
     name = "pinocchio"
+    configuration = (
+        "Damped least squares on log6 of the tool error: damping 1e-6 plus 1e-3 times the squared "
+        "error (Sugihara 2011), up to 20 full steps from the measured joints, joint limits and at "
+        "most 0.1 rad from the measured joints by an active set. After "
+        "https://github.com/stack-of-tasks/pinocchio/blob/devel/examples/inverse-kinematics.cpp"
+    )
 
     def __init__(
         self, arm: SerialArm, damping: float = 1e-6, error_damping: float = 1e-3, **iteration: Any
@@ -104,6 +110,10 @@ class UndampedPinocchioSolver(IKSolver):
     """Newton steps by the pseudo-inverse, unbounded; see the module. Its commands may lie outside limits."""
 
     name = "pinocchio_undamped"
+    configuration = (
+        "The paper's baseline: pseudo-inverse steps from the measured joints, up to 100 or to an "
+        "error of 1e-6, without damping, limits or a bound on the step"
+    )
 
     def __init__(self, arm: SerialArm, iterations: int = 100, tolerance: float = 1e-6) -> None:
         """

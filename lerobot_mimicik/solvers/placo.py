@@ -32,6 +32,10 @@ class LeRobotPlacoSolver(IKSolver):
     """LeRobot's inverse kinematics; see the module."""
 
     name = "placo_lerobot"
+    configuration = (
+        "LeRobot 0.6's own RobotKinematics with its defaults: one quadratic program per call, "
+        "position weight 1, orientation weight 0.01, joint limits, no bound on the step"
+    )
 
     def __init__(
         self, arm: SerialArm, position_weight: float = 1.0, orientation_weight: float = 0.01
@@ -64,6 +68,11 @@ class PlacoSolver(IterativeSolver):
     """placo with full orientation weight, iterated; see the module."""
 
     name = "placo"
+    configuration = (
+        "A soft FrameTask, weights 1 and 1, regularization 1e-6, several iterations from the "
+        "measured joints, joint limits and at most 0.1 rad from the measured joints. After "
+        "https://placo.readthedocs.io/en/stable/kinematics/getting_started.html"
+    )
 
     def __init__(
         self,

@@ -29,6 +29,11 @@ class SsikSolver(IKSolver):
     """Closed-form solutions, the nearest of them; see the module."""
 
     name = "ssik"
+    configuration = (
+        "All closed-form solutions within the joint limits, the nearest one (largest joint move "
+        "smallest), approached by at most 0.1 rad; held where there is none. After its "
+        "documentation on tracking (https://github.com/personalrobotics/ssik)"
+    )
 
     def __init__(self, arm: SerialArm, max_step: float = MAX_STEP, seed_metric: str = "wrap_linf") -> None:
         """

@@ -22,7 +22,10 @@ from robot_adapters.airbot.frames import (
 )
 
 DM_DISABLED, DM_ENABLED = 0, 1  # the two values of the error field that are states, not errors
+# As Damiao's manuals and the public drivers name them (such as edometro/DAMIAO_Control_Arduino).
 DM_ERRORS = {
+    5: "sensor error",
+    6: "parameter error",
     8: "over-voltage",
     9: "under-voltage",
     10: "over-current",

@@ -14,23 +14,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-GROUPS = (
-    "person", "subject", "participant", "user", "operator", "session", "session_id",
-    "recording", "recording_id", "trajectory", "trajectory_id", "demo", "demo_id",
-    "episode", "episode_id", "episode_index",
-)  # fmt: skip
-_ONE = {
-    "time": ("t", "time", "timestamp", "timestamps", "stamp", "time_s", "timestamp_s", "robot_timestamp"),
-    "gripper": (
-        "gripper.pos",
-        "gripper",
-        "gripper_width",
-        "robot0_gripper_width",
-        "gripper_pos",
-        "gripper_position",
-    ),
-    "task": ("task", "instruction", "language_instruction"),
-}
 _POSITION = (
     ("x", "y", "z"), ("px", "py", "pz"), ("pos_x", "pos_y", "pos_z"), ("tx", "ty", "tz"),
     ("position_x", "position_y", "position_z"), ("position.x", "position.y", "position.z"),
@@ -68,19 +51,6 @@ class PoseColumns:
     rotation: tuple[str, ...]
     position_index: tuple[int, ...] = ()
     rotation_index: tuple[int, ...] = ()
-
-
-def guess_one(table: pd.DataFrame, name: str, role: str, where: str) -> str | None:
-    """The column for a role ("time", "gripper", "task"): the one asked for, the first usual name, or None.
-
-    Raises:
-        ValueError: the one asked for does not exist.
-    """
-    if name and name not in table.columns:
-        raise ValueError(
-            f"{where} has no {role} column {name!r}; its columns: {', '.join(map(str, table.columns))}"
-        )
-    return name or next((usual for usual in _ONE[role] if usual in table.columns), None)
 
 
 def find_pose_columns(

@@ -15,16 +15,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lerobot_mimicik.data.retargeting.pose_columns import (
+from lerobot_mimicik.data.retargeting.pose_columns import PoseColumns, find_pose_columns, gather_poses
+from lerobot_mimicik.data.tables import (
     GROUPS,
-    PoseColumns,
-    find_pose_columns,
-    gather_poses,
+    TIME_UNITS,
+    existing,
+    group_rows,
     guess_one,
+    label,
+    read_table,
+    stamps,
+    table_files,
 )
-
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-TABLE_SUFFIXES = (".parquet", ".csv", ".csv.gz", ".tsv")
 
 
 @dataclass(frozen=True)
@@ -98,120 +100,39 @@ def load_recordings(source: str | Path, columns: SourceColumns | None = None) ->
     source, columns = Path(source), columns or SourceColumns()
     if (source / "meta" / "info.json").is_file():
         return _load_lerobot(source, columns)
-    if source.is_dir():
-        files = sorted(path for path in source.iterdir() if path.name.endswith(TABLE_SUFFIXES))
-        if not files:
-            raise ValueError(
-                f"{source} is neither a LeRobot dataset (no meta/info.json) nor a folder of "
-                f"{', '.join(TABLE_SUFFIXES)} files"
-            )
-        recordings = []
-        for path in files:
-            recordings += _split_table(_read_table(path), columns, str(path), default_name=path.name)
-        return recordings
-    if not source.exists():
-        raise FileNotFoundError(f"input {source} does not exist")
-    return _split_table(_read_table(source), columns, str(source), default_name=source.name)
-
-
-def _read_table(path: Path) -> pd.DataFrame:
-    if path.name.endswith(".parquet"):
-        return pd.read_parquet(path)
-    if path.name.endswith(TABLE_SUFFIXES):
-        return pd.read_csv(path, sep="\t" if path.suffix == ".tsv" else ",")
-    raise ValueError(
-        f"{path}: expected {', '.join(TABLE_SUFFIXES)} or a LeRobot dataset folder "
-        "(convert zarr to one of these first)"
-    )
+    return [
+        recording
+        for path in table_files(source)
+        for recording in _split_table(read_table(path), columns, str(path), default_name=path.name)
+    ]
 
 
 def _split_table(
     table: pd.DataFrame, columns: SourceColumns, where: str, default_name: str
 ) -> list[Recording]:
     """Cut a table into recordings by its group columns."""
-    if table.empty:
-        raise ValueError(f"{where} has no rows")
     found = find_pose_columns(table, columns.position, columns.rotation, where)
-    groups = _existing(table, columns.groups, where, "group") or tuple(
+    groups = existing(table, columns.groups, where, "group") or tuple(
         name for name in GROUPS if name in table.columns
     )
-    session = _existing(table, columns.session, where, "session") or groups[:-1]
-    time, gripper = _time(table, columns, where), guess_one(table, columns.gripper, "gripper", where)
+    session = existing(table, columns.session, where, "session") or groups[:-1]
+    time, gripper = (
+        stamps(table, columns.time, columns.time_unit, columns.fps, where),
+        guess_one(table, columns.gripper, "gripper", where),
+    )
     task = guess_one(table, columns.task, "task", where)
     pose = gather_poses(table, found, columns.quaternion_order, where)
     return [
         Recording(
-            name=_label(table, groups, rows[0]) or default_name,
-            session=_label(table, session, rows[0]) or _label(table, groups, rows[0]) or default_name,
+            name=label(table, groups, rows[0]) or default_name,
+            session=label(table, session, rows[0]) or label(table, groups, rows[0]) or default_name,
             t=time[rows],
             pose=pose[rows],
             gripper=None if gripper is None else table[gripper].to_numpy(dtype=np.float64)[rows],
             task="" if task is None else str(table[task].iloc[rows[0]]),
         )
-        for rows in _group_rows(table, groups)
+        for rows in group_rows(table, groups)
     ]
-
-
-def _group_rows(table: pd.DataFrame, groups: tuple[str, ...]) -> list[np.ndarray]:
-    if not groups:
-        return [np.arange(len(table))]
-    missing = [name for name in groups if table[name].isna().any()]
-    if missing:
-        raise ValueError(f"group column {missing[0]!r} has empty cells; every row must belong to a recording")
-    number = table.groupby(list(groups), sort=False).ngroup().to_numpy()
-    order = np.argsort(number, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
-
-
-def _label(table: pd.DataFrame, names: tuple[str, ...], row: int) -> str:
-    return "/".join(f"{name}={table[name].iloc[row]}" for name in names)
-
-
-def _existing(table: pd.DataFrame, names: tuple[str, ...], where: str, role: str) -> tuple[str, ...]:
-    missing = [name for name in names if name not in table.columns]
-    if missing:
-        raise ValueError(
-            f"{where} has no {role} column {missing[0]!r}; its columns: {', '.join(map(str, table.columns))}"
-        )
-    return tuple(names)
-
-
-def _time(table: pd.DataFrame, columns: SourceColumns, where: str) -> np.ndarray:
-    """Stamps in seconds; rows counted at the given rate if there are none."""
-    name = guess_one(table, columns.time, "time", where)
-    if name is None:
-        if columns.fps <= 0:
-            raise ValueError(
-                f"{where} has no time column (looked for the usual names) and no frame rate was given; "
-                f"its columns: {', '.join(map(str, table.columns))}"
-            )
-        return np.arange(len(table)) / columns.fps
-    stamps = table[name]
-    present = stamps.dropna()
-    if present.empty:
-        raise ValueError(f"{where}: time column {name!r} holds no stamp")
-    if pd.api.types.is_datetime64_any_dtype(stamps):
-        return (stamps - present.iloc[0]).dt.total_seconds().to_numpy()
-    if not pd.api.types.is_numeric_dtype(stamps):
-        raise ValueError(f"{where}: time column {name!r} holds {stamps.dtype}, expected numbers or datetimes")
-    # The origin goes first: nanoseconds since 1970 do not fit a float64 to the microsecond.
-    values = (stamps - present.iloc[0]).to_numpy(dtype=np.float64)
-    return values * _time_scale(values, columns.time_unit, f"{where}, column {name!r}")
-
-
-def _time_scale(values: np.ndarray, unit: str, where: str) -> float:
-    if unit:
-        return TIME_UNITS[unit]
-    steps = np.diff(values)
-    steps = steps[np.isfinite(steps) & (steps > 0)]
-    if len(steps) == 0:
-        return 1.0
-    for scale in TIME_UNITS.values():
-        if 1e-4 <= np.median(steps) * scale <= 2.0:
-            return scale
-    raise ValueError(
-        f"{where}: the median step of {np.median(steps):g} is no plausible frame time; give its unit"
-    )
 
 
 def _load_lerobot(root: Path, columns: SourceColumns) -> list[Recording]:
@@ -234,7 +155,7 @@ def _load_lerobot(root: Path, columns: SourceColumns) -> list[Recording]:
         else table["frame_index"].to_numpy(dtype=np.float64) / fps
     )
     recordings = []
-    for rows in _group_rows(table, ("episode_index",)):
+    for rows in group_rows(table, ("episode_index",)):
         episode = int(table["episode_index"].iloc[rows[0]])
         task = tasks.get(int(table["task_index"].iloc[rows[0]]), "") if "task_index" in table else ""
         recordings.append(

@@ -1,0 +1,199 @@
+"""Logs of an arm's measured (and commanded) joints as a dataset: nothing is computed but the poses, by FK.
+
+A log comes at the arm's own rate, often hundreds of hertz, and becomes frames at the rate of control: the state is
+what was measured at a frame's time, the action what was measured at the next, or what was commanded for it. Commands
+are used only where columns are named: an arm may lag them by many frames (an AIRBOT Play that is streamed positions: 0.2
+s), and then they are further away than a step of control.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lerobot_mimicik.data.tables import (
+    GROUPS,
+    existing,
+    group_rows,
+    guess_one,
+    label,
+    read_table,
+    stamps,
+    table_files,
+)
+from lerobot_mimicik.data.writer import LOG_FILE, Episode, write_dataset
+from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.array_chain import array_chain
+
+# How a table may call joint number i (from one) with this name.
+_USUAL = ("{name}", "{name}.pos", "q{i}", "joint{i}", "joint_{i}")
+
+
+@dataclass(frozen=True)
+class LogColumns:
+    """Which columns of a log mean what; an empty field but `commands` is guessed from usual names.
+
+    Attributes:
+        joints: measured joints, in the arm's order.
+        commands: commanded joints; empty: each frame aims at the next measured joints.
+        units: "rad" or "deg".
+        time, time_unit, fps: as `lerobot_mimicik.data.tables.stamps` takes them.
+        groups: columns that together name one recording.
+        session: columns that together name a session; default: `groups` without the last.
+        task: what is done, a sentence per row.
+    """
+
+    joints: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
+    units: str = "rad"
+    time: str = ""
+    time_unit: str = ""
+    fps: float = 0.0
+    groups: tuple[str, ...] = ()
+    session: tuple[str, ...] = ()
+    task: str = ""
+
+    def __post_init__(self) -> None:
+        if self.units not in ("rad", "deg"):
+            raise ValueError(f"joint units must be rad or deg, got {self.units!r}")
+
+
+@dataclass(frozen=True)
+class LogSummary:
+    """What was written: the dataset's folder, and its episodes and frames."""
+
+    root: Path
+    episodes: int
+    frames: int
+
+    def __str__(self) -> str:
+        return f"{self.episodes} episodes, {self.frames} frames of recorded joints: {self.root}"
+
+
+def write_joint_logs(
+    source: str | Path,
+    root: str | Path,
+    description: ArmDescription,
+    columns: LogColumns | None = None,
+    fps: int = 20,
+    max_gap: float = 0.2,
+    min_duration: float = 1.0,
+    task: str = "recorded motion",
+    robot_type: str | None = None,
+    overwrite: bool = False,
+    space: str = "joints",
+) -> LogSummary:
+    """Write the logs of a file, or of a folder's files, as one LeRobot dataset.
+
+    Args:
+        source: parquet or CSV.
+        root: the dataset's folder.
+        description: the arm.
+        columns: where the logs keep what.
+        fps: frames per second of the dataset.
+        max_gap: longer holes in the stamps cut a recording in two [s].
+        min_duration: shorter pieces are left out [s].
+        task: sentence for logs that have none.
+        robot_type, overwrite, space: see `write_dataset`.
+
+    Raises:
+        FileNotFoundError: nothing at `source`.
+        FileExistsError: `root` holds something already.
+        ValueError: columns that are missing, or no piece that is long enough.
+    """
+    columns = columns or LogColumns()
+    files = table_files(Path(source))
+    episodes = [
+        episode
+        for path in files
+        for episode in _episodes(path, description, columns, fps, max_gap, min_duration, task)
+    ]
+    if not episodes:
+        raise ValueError(
+            f"{source} holds no recording of at least {min_duration:g} s without a hole of {max_gap:g} s"
+        )
+    totals = write_dataset(
+        root, f"local/{Path(root).name}", episodes, description, fps, robot_type, overwrite, space
+    )
+    about = {"joints": "recorded", "files": [path.name for path in files]}
+    (Path(root) / LOG_FILE).write_text(json.dumps(about, indent=2) + "\n")
+    return LogSummary(Path(root), **totals)
+
+
+def _episodes(
+    path: Path,
+    description: ArmDescription,
+    columns: LogColumns,
+    fps: int,
+    max_gap: float,
+    min_duration: float,
+    task: str,
+) -> Iterator[Episode]:
+    table, where = read_table(path), str(path)
+    chain = array_chain(description)
+    measured = _joint_columns(table, columns.joints, description, where)
+    commanded = _joint_columns(table, columns.commands, description, where) if columns.commands else measured
+    groups = existing(table, columns.groups, where, "group") or tuple(
+        name for name in GROUPS if name in table.columns
+    )
+    session = existing(table, columns.session, where, "session") or groups[:-1]
+    time = stamps(table, columns.time, columns.time_unit, columns.fps, where)
+    tasks = guess_one(table, columns.task, "task", where)
+    unit = math.pi / 180 if columns.units == "deg" else 1.0
+    joints = table[measured + commanded].to_numpy(dtype=np.float64) * unit
+    for rows in group_rows(table, groups):
+        for piece in _pieces(time, joints, rows, max_gap):
+            if time[piece[-1]] - time[piece[0]] < max(min_duration, 2 / fps):
+                continue
+            state, action = np.hsplit(_resampled(time[piece], joints[piece], fps), 2)
+            # A frame's action is what holds at the next.
+            state, action = state[:-1], action[1:]
+            yield Episode(
+                state=state,
+                action=action,
+                ee_pose=chain.pose(state),
+                ee_target=chain.pose(action),
+                task=task if tasks is None else str(table[tasks].iloc[piece[0]]),
+                session=label(table, session, rows[0]) or label(table, groups, rows[0]) or path.name,
+            )
+
+
+def _joint_columns(
+    table: pd.DataFrame, asked: tuple[str, ...], description: ArmDescription, where: str
+) -> list[str]:
+    """One column for each joint: those asked for, else the first usual way to call them."""
+    names = description.joint_names
+    if asked:
+        if len(asked) != len(names):
+            raise ValueError(f"{len(asked)} columns given for {len(names)} joints ({', '.join(names)})")
+        return list(existing(table, asked, where, "joint"))
+    for form in _USUAL:
+        found = [form.format(name=name, i=number) for number, name in enumerate(names, 1)]
+        if all(name in table.columns for name in found):
+            return found
+    raise ValueError(
+        f"{where} has no columns for the joints {', '.join(names)} (looked for them by name and for q1, q2, "
+        f"...); its columns: {', '.join(map(str, table.columns))}"
+    )
+
+
+def _pieces(time: np.ndarray, joints: np.ndarray, rows: np.ndarray, max_gap: float) -> Iterator[np.ndarray]:
+    """Rows of uninterrupted recordings: finite, stamps strictly rising, no hole longer than `max_gap`."""
+    rows = rows[np.isfinite(time[rows]) & np.isfinite(joints[rows]).all(axis=1)]
+    if not len(rows):
+        return
+    latest = np.maximum.accumulate(time[rows])
+    rows = rows[np.concatenate([[True], time[rows][1:] > latest[:-1]])]
+    yield from np.split(rows, np.flatnonzero(np.diff(time[rows]) > max_gap) + 1)
+
+
+def _resampled(time: np.ndarray, values: np.ndarray, fps: int) -> np.ndarray:
+    """Values (N, d) at the times of frames, (T, d)."""
+    grid = np.arange(time[0], time[-1], 1 / fps)
+    return np.column_stack([np.interp(grid, time, column) for column in values.T])

@@ -1,0 +1,161 @@
+"""Recorded tables, parquet or CSV: finding the files, the recordings in them, their stamps and usual columns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TABLE_SUFFIXES = (".parquet", ".csv", ".csv.gz", ".tsv")
+GROUPS = (
+    "person", "subject", "participant", "user", "operator", "session", "session_id",
+    "recording", "recording_id", "trajectory", "trajectory_id", "demo", "demo_id",
+    "episode", "episode_id", "episode_index",
+)  # fmt: skip
+_ONE = {
+    "time": ("t", "time", "timestamp", "timestamps", "stamp", "time_s", "timestamp_s", "robot_timestamp"),
+    "gripper": (
+        "gripper.pos",
+        "gripper",
+        "gripper_width",
+        "robot0_gripper_width",
+        "gripper_pos",
+        "gripper_position",
+    ),
+    "task": ("task", "instruction", "language_instruction"),
+}
+
+
+def table_files(source: Path) -> list[Path]:
+    """The file itself, or the tables in a folder, sorted.
+
+    Raises:
+        FileNotFoundError: nothing at `source`.
+        ValueError: a folder without tables.
+    """
+    if not source.exists():
+        raise FileNotFoundError(f"input {source} does not exist")
+    if not source.is_dir():
+        return [source]
+    files = sorted(path for path in source.iterdir() if path.name.endswith(TABLE_SUFFIXES))
+    if not files:
+        raise ValueError(
+            f"{source} is neither a LeRobot dataset (no meta/info.json) nor a folder of "
+            f"{', '.join(TABLE_SUFFIXES)} files"
+        )
+    return files
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """One parquet or CSV file with at least one row, or ValueError."""
+    table = _read(path)
+    if table.empty:
+        raise ValueError(f"{path} has no rows")
+    return table
+
+
+def _read(path: Path) -> pd.DataFrame:
+    if path.name.endswith(".parquet"):
+        return pd.read_parquet(path)
+    if path.name.endswith(TABLE_SUFFIXES):
+        return pd.read_csv(path, sep="\t" if path.suffix == ".tsv" else ",")
+    raise ValueError(
+        f"{path}: expected {', '.join(TABLE_SUFFIXES)} or a LeRobot dataset folder "
+        "(convert zarr to one of these first)"
+    )
+
+
+def guess_one(table: pd.DataFrame, name: str, role: str, where: str) -> str | None:
+    """The column for a role ("time", "gripper", "task"): the one asked for, the first usual name, or None.
+
+    Raises:
+        ValueError: the one asked for does not exist.
+    """
+    if name and name not in table.columns:
+        raise ValueError(
+            f"{where} has no {role} column {name!r}; its columns: {', '.join(map(str, table.columns))}"
+        )
+    return name or next((usual for usual in _ONE[role] if usual in table.columns), None)
+
+
+def group_rows(table: pd.DataFrame, groups: tuple[str, ...]) -> list[np.ndarray]:
+    """The rows of each recording, in order; one recording where there are no group columns.
+
+    Raises:
+        ValueError: a row belongs to no recording.
+    """
+    if not groups:
+        return [np.arange(len(table))]
+    missing = [name for name in groups if table[name].isna().any()]
+    if missing:
+        raise ValueError(f"group column {missing[0]!r} has empty cells; every row must belong to a recording")
+    number = table.groupby(list(groups), sort=False).ngroup().to_numpy()
+    order = np.argsort(number, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
+
+
+def label(table: pd.DataFrame, names: tuple[str, ...], row: int) -> str:
+    """What the named columns say in a row, such as "person=11/session=1"."""
+    return "/".join(f"{name}={table[name].iloc[row]}" for name in names)
+
+
+def existing(table: pd.DataFrame, names: tuple[str, ...], where: str, role: str) -> tuple[str, ...]:
+    """`names`, of which every one must be a column, or ValueError."""
+    missing = [name for name in names if name not in table.columns]
+    if missing:
+        raise ValueError(
+            f"{where} has no {role} column {missing[0]!r}; its columns: {', '.join(map(str, table.columns))}"
+        )
+    return tuple(names)
+
+
+def stamps(table: pd.DataFrame, column: str, unit: str, fps: float, where: str) -> np.ndarray:
+    """Stamps of all rows in seconds (N,); rows counted at the given rate if there are none.
+
+    Args:
+        table: the table.
+        column: where they are; empty: a usual name.
+        unit: one of `TIME_UNITS`; empty: seconds if the median step lies between 0.1 ms and 2 s, else the
+            first of the others for which it does.
+        fps: frame rate of a table without stamps [Hz], 0 if it has them.
+        where: how messages call the table.
+
+    Raises:
+        ValueError: no stamps, or none that can be understood.
+    """
+    name = guess_one(table, column, "time", where)
+    if name is None:
+        if fps <= 0:
+            raise ValueError(
+                f"{where} has no time column (looked for the usual names) and no frame rate was given; "
+                f"its columns: {', '.join(map(str, table.columns))}"
+            )
+        return np.arange(len(table)) / fps
+    found = table[name]
+    present = found.dropna()
+    if present.empty:
+        raise ValueError(f"{where}: time column {name!r} holds no stamp")
+    if pd.api.types.is_datetime64_any_dtype(found):
+        return (found - present.iloc[0]).dt.total_seconds().to_numpy()
+    if not pd.api.types.is_numeric_dtype(found):
+        raise ValueError(f"{where}: time column {name!r} holds {found.dtype}, expected numbers or datetimes")
+    # The origin goes first: nanoseconds since 1970 do not fit a float64 to the microsecond.
+    values = (found - present.iloc[0]).to_numpy(dtype=np.float64)
+    return values * _time_scale(values, unit, f"{where}, column {name!r}")
+
+
+def _time_scale(values: np.ndarray, unit: str, where: str) -> float:
+    if unit:
+        return TIME_UNITS[unit]
+    steps = np.diff(values)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    if len(steps) == 0:
+        return 1.0
+    for scale in TIME_UNITS.values():
+        if 1e-4 <= np.median(steps) * scale <= 2.0:
+            return scale
+    raise ValueError(
+        f"{where}: the median step of {np.median(steps):g} is no plausible frame time; give its unit"
+    )
