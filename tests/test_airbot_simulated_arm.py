@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
-
 import can
 import numpy as np
 import pytest
+from arm_process import arm_process, follow_for_a_while
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 pytest.importorskip("mujoco")
 
-from robot_adapters.airbot.arm import AirbotArm
 from robot_adapters.airbot.bus import BusError, ask, open_bus
 from robot_adapters.airbot.faults import Fault, FaultInjector, FaultKind, random_fault
 from robot_adapters.airbot.plant import PlantParameters
@@ -157,30 +153,6 @@ def test_an_arm_in_another_process_through_udp_multicast():
         open_bus("udp_multicast", channel).shutdown()
     except BusError as error:
         pytest.skip(f"no multicast here: {error}")
-    command = ["simulate", f"--channel={channel}", "--gripper=false"]
-    server = subprocess.Popen(
-        [sys.executable, "-m", "lerobot_mimicik.cli.main", *command], stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert "simulated arm on udp_multicast" in server.stdout.readline()
-        arm = AirbotArm("udp_multicast", channel, handle_signals=False)
-        for _ in range(300):
-            try:
-                arm.connect()
-                break
-            except BusError:
-                continue
-        with arm:
-            q = arm.read().q
-            for _ in range(5):
-                assert arm.command(q).q_sent.shape == (6,)
-                arm.clock.sleep(0.05)
-            assert np.all(np.isfinite(arm.read().q))
-            assert arm.read().gripper is None
-    finally:
-        server.send_signal(signal.SIGINT)
-        try:
-            status = server.wait(timeout=20)
-        finally:
-            server.kill()
-    assert status == 130
+    with arm_process("udp_multicast", channel) as server:
+        follow_for_a_while("udp_multicast", channel)
+    assert server.returncode == 130

@@ -49,6 +49,10 @@ def open_bus(interface: str, channel: str | None = None, **options: Any) -> can.
         options.setdefault("bitrate", BITRATE)
     _quieten()
     try:
+        if interface == "slcan":
+            from robot_adapters.airbot.serial_line import SerialLineBus
+
+            return SerialLineBus(channel, **options)
         return can.Bus(interface=interface, channel=channel, receive_own_messages=False, **options)
     except (can.CanError, OSError, ImportError, ValueError) as error:
         remedy = _REMEDIES.get(interface, f"tried interfaces are {', '.join(INTERFACES)}").format(

@@ -1,0 +1,54 @@
+"""`mimicik simulate` in a process of its own, and a driver that finds it there."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+
+from robot_adapters.airbot.arm import AirbotArm
+from robot_adapters.airbot.bus import BusError
+from robot_adapters.airbot.statistics import DriverStatistics
+
+
+@contextlib.contextmanager
+def arm_process(interface: str, channel: str) -> Iterator[subprocess.Popen]:
+    """A simulated arm without a gripper; ended by SIGINT, as a user does, unless something went wrong."""
+    command = ["simulate", f"--interface={interface}", f"--channel={channel}", "--gripper=false"]
+    server = subprocess.Popen(
+        [sys.executable, "-m", "lerobot_mimicik.cli.main", *command], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert f"simulated arm on {interface}" in server.stdout.readline()
+        yield server
+    finally:
+        server.send_signal(signal.SIGINT)
+        try:
+            server.wait(timeout=20)
+        finally:
+            server.kill()
+
+
+def follow_for_a_while(interface: str, channel: str) -> DriverStatistics:
+    """Connect to the arm there and hold it for five frames."""
+    arm = AirbotArm(interface, channel, handle_signals=False)
+    for _ in range(300):
+        try:
+            arm.connect()
+            break
+        except BusError:
+            continue
+    with arm:
+        q = arm.read().q
+        for _ in range(5):
+            assert arm.command(q).q_sent.shape == (6,)
+            arm.clock.sleep(0.05)
+        state = arm.read()
+        assert np.all(np.isfinite(state.q))
+        np.testing.assert_allclose(state.q, q, atol=0.05)
+        assert state.gripper is None
+        return arm.statistics()
