@@ -27,6 +27,12 @@ def test_an_unknown_subcommand_is_refused_with_the_known_ones(capsys):
     assert all(name in shown for name in cli.subcommands())
 
 
+def test_a_reader_who_has_enough_is_no_error():
+    command = f"{sys.executable} -m lerobot_mimicik.cli.main --help | true"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+
+
 def test_help_imports_neither_torch_nor_lerobot():
     code = (
         "import sys; from lerobot_mimicik.cli.main import main; main(['--help']); "

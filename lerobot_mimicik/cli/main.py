@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     known = subcommands()
     if not arguments or arguments[0] in ("-h", "--help", "help"):
-        print(_overview(known))
+        _say(_overview(known))
         return 0
     if arguments[0] == "--version":
         from importlib.metadata import version
@@ -68,6 +68,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"\nmimicik {command}: interrupted.", file=sys.stderr)
         return 130
+
+
+def _say(text: str) -> None:
+    """Print, without complaint where the reader (head, less) has enough."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _help_of(path: Path) -> str | None:

@@ -22,9 +22,11 @@ from robot_adapters.airbot.frames import (
 )
 
 DM_DISABLED, DM_ENABLED = 0, 1  # the two values of the error field that are states, not errors
-# As Damiao's manuals and the public drivers name them (such as edometro/DAMIAO_Control_Arduino).
+# As public drivers of Damiao motors name them; some call 5 a sensor error.
 DM_ERRORS = {
-    5: "sensor error",
+    3: "output encoder error",
+    4: "sensor error",
+    5: "encoder error",
     6: "parameter error",
     8: "over-voltage",
     9: "under-voltage",

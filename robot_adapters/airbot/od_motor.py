@@ -20,11 +20,13 @@ from robot_adapters.airbot.frames import (
     unpack,
 )
 
+# As public drivers of ENCOS motors name them, whose frames these are; the maker's document V1.14 numbers three anew.
 OD_ERRORS = {
     1: "motor over-temperature",
     2: "over-current",
-    3: "under-voltage",
-    4: "encoder error",
+    3: "under-voltage (newer firmware: over-voltage)",
+    4: "encoder error (newer firmware: under-voltage)",
+    5: "encoder error",
     6: "brake over-voltage",
     7: "driver error",
 }
