@@ -1,4 +1,8 @@
-"""The evaluation mode `plant`: a solver drives the simulated arm over its bus, and is told what it measures.
+"""The evaluation modes `plant` and `plant_commanded`: a solver drives the simulated arm over its bus.
+
+In `plant` it is told what the arm measures, in `plant_commanded` the command in force. An AIRBOT Play that is streamed
+positions lags them by 0.2 s: a solver that moves the measured joints by a bounded step never gets ahead of that
+lag, while the command in force can be moved on at every frame.
 
 Everything between command and measurement is there: driver, safety, 250 Hz interpolation, CAN frames, the motors'
 lag, quantum and noise. Time is simulated, so that the result does not depend on how busy the computer is.
@@ -28,6 +32,20 @@ def plant(solver: IKSolver, trajectories: Sequence[Trajectory], options: Rollout
         ValueError: trajectories of another arm.
         ModuleNotFoundError: without MuJoCo.
     """
+    return _drive_all(solver, trajectories, options, measured=True)
+
+
+@register_mode("plant_commanded")
+def plant_commanded(
+    solver: IKSolver, trajectories: Sequence[Trajectory], options: RolloutOptions
+) -> list[Rollout]:
+    """As `plant`, but the solver steps from the command in force, as `MimicIKAdapter` does by default."""
+    return _drive_all(solver, trajectories, options, measured=False)
+
+
+def _drive_all(
+    solver: IKSolver, trajectories: Sequence[Trajectory], options: RolloutOptions, measured: bool
+) -> list[Rollout]:
     from robot_adapters.airbot.cell import SimulatedCell
     from robot_adapters.deployment import drive
 
@@ -43,13 +61,14 @@ def plant(solver: IKSolver, trajectories: Sequence[Trajectory], options: Rollout
             with SimulatedCell(q=trajectory.q[0], seed=options.seed + number) as cell:
                 if trajectory.q.shape[1] != len(cell.arm.joint_names):
                     raise ValueError(
-                        f"mode plant drives an AIRBOT Play of {len(cell.arm.joint_names)} joints; the "
+                        f"modes plant drive an AIRBOT Play of {len(cell.arm.joint_names)} joints; the "
                         f"recordings have {trajectory.q.shape[1]}"
                     )
                 cell.arm.connect()
                 solver.reset(trajectory.q[:1] if solver.batched else trajectory.q[0])
 
                 def ask(q: Array, target: Array) -> Array:
+                    q = q if measured else cell.arm.target()
                     answer = (
                         solver.solve(q[None], target[None])[0] if solver.batched else solver.solve(q, target)
                     )

@@ -43,6 +43,20 @@ def test_plant_mode_is_found_and_drives_the_simulated_arm(circle):
     assert np.abs(rollout.q_cmd - rollout.q_curr).max() <= 0.1 + 1e-9
 
 
+def test_a_bounded_step_follows_a_lagging_arm_only_from_the_command_in_force(circle):
+    faster = Trajectory(circle.index, circle.q[::3], circle.target[::3])
+    errors = {}
+    for mode in ("plant", "plant_commanded"):
+        solver = make_solver("mink", SerialArm(ARM), max_step=0.05)
+        (rollout,) = make_rollouts(mode, solver, [faster], RolloutOptions(seed=1))
+        arm = MimicIKAdapter(make_solver("hold", SerialArm(ARM)), ARM)
+        errors[mode] = max(
+            np.linalg.norm(arm.forward(q)[:3] - t[:3])
+            for q, t in zip(rollout.q_cmd, faster.target, strict=True)
+        )
+    assert errors["plant_commanded"] < 0.005 < 0.02 < errors["plant"]
+
+
 def test_the_same_seed_gives_the_same_drive(circle):
     runs = [
         make_rollouts("plant", make_solver("mink", SerialArm(ARM)), [circle], RolloutOptions(seed=5))[0].q_cmd

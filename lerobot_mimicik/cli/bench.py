@@ -53,11 +53,12 @@ class BenchConfig:
     # or _fk0.2 (that weight of it).
     solvers: str = "mimicik,mimicik_nofk,mlp,unet_diffusion,hold"
     # open_loop: recorded joints in at every frame. closed_loop: each command is the next measurement. plant:
-    # the commands drive a simulated AIRBOT Play over its bus, and what that measures is the next measurement.
+    # the commands drive a simulated AIRBOT Play over its bus, and what that measures is the next measurement;
+    # plant_commanded: the same, but the solver is told the command in force.
     modes: str = "open_loop,closed_loop"
     # Measure on the first seconds of each episode only; 0: on all of it.
     seconds: float = 0.0
-    # Mode plant runs at a few times real time: drive only the first so many seconds of each dataset; 0: all.
+    # Modes plant run at a few times real time: drive only the first so many seconds of each dataset; 0: all.
     plant_seconds: float = 0.0
     # Trainings of each learned row, with the seeds 0, 1, ...
     seeds: int = 1
@@ -152,7 +153,7 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
         whole = load_trajectories(root, arm, layout, episodes, name)
         kept = study(arm, first_seconds(whole, of_each=config.seconds or math.inf))
         for mode in modes:
-            if mode == "plant" and config.plant_seconds:
+            if mode.startswith("plant") and config.plant_seconds:
                 part = study(arm, first_seconds(kept.set, in_all=config.plant_seconds))
                 occasions.append(Occasion(part, mode, _place(config, root, config.plant_seconds)))
             else:
