@@ -23,7 +23,7 @@ from lerobot_mimicik.evaluation.report import ROW_KEYS, definitions, markdown_ta
 
 _RECIPES = {"mimicik": "{size}.json", "mlp": "mlp_{size}.json", "unet_diffusion": "unet_{size}.json"}
 _ABOUT = {
-    "mimicik": "The paper's policy: SuDeepDiT as a minimal iterative policy, with FK consistency",
+    "mimicik": "The paper's policy: SuDeepDiT as a minimal iterative policy",
     "mlp": "The paper's pure MLP, one forward pass",
     "unet_diffusion": "1-D UNet, DDPM with 10 steps (diffusers)",
 }
@@ -66,8 +66,9 @@ class LearnedRow:
 
     def configuration(self, size: str) -> str:
         """What tables say beside the row."""
-        weight = "" if self.fk_weight is None else f", FK weight {self.fk_weight:g}"
-        return f"{_ABOUT[self.base]}; recipe configs/{self.recipe(size)}{weight}, trained by lerobot-train"
+        loss = "as the recipe says" if self.fk_weight is None else f"weighted by {self.fk_weight:g}"
+        recipe = f"recipe configs/{self.recipe(size)}, FK consistency loss {loss}"
+        return f"{_ABOUT[self.base]}; {recipe}; trained by lerobot-train"
 
 
 def learned_names() -> str:

@@ -44,7 +44,8 @@ def plot_errors(rows: Sequence[Mapping[str, Any]]) -> list[Plot]:
             panel.set_xlim(1e-3, None)
             panel.axvline(RETURNED_MM, color="#777777", linewidth=0.8)
         panels[0].set_ylabel("frames with at most this error [%]")
-        panels[-1].legend(fontsize=7)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
         caption = (
             f"Position error on {dataset}, a line for each seed; a line that ends below 100 % had frames "
             f"without a finite command. Grey line: {RETURNED_MM:g} mm."
