@@ -57,6 +57,13 @@ def test_a_target_reached_exactly_is_a_success():
     assert row["sr1"] == 100.0
 
 
+def test_a_bound_kept_to_rounding_is_kept():
+    start = np.tile(HOME, (3, 1))
+    commands = start + np.array([[0.1 + 1e-9], [0.1], [0.1001]])
+    row = summarise(measure(airbot(), [rollout(commands, q_curr=start)]))
+    assert row["joint_spike"] == pytest.approx(100 / 3)
+
+
 def test_joint_steps_are_measured_from_what_the_solver_was_told():
     q_curr = np.tile(HOME, (4, 1))
     q_cmd = q_curr.copy()

@@ -15,7 +15,12 @@ import torch
 from lerobot_mimicik.data.writer import ARM_FILE, LOG_FILE
 from lerobot_mimicik.evaluation import verdict as verdict_rules
 from lerobot_mimicik.evaluation.evaluate import Recording
-from lerobot_mimicik.evaluation.metrics import ESTOP_RAD, JOINT_SPIKE_RAD, LIMIT_TOLERANCE_RAD
+from lerobot_mimicik.evaluation.metrics import (
+    ESTOP_RAD,
+    JOINT_SPIKE_RAD,
+    LIMIT_TOLERANCE_RAD,
+    STEP_TOLERANCE_RAD,
+)
 
 ROW_KEYS = (
     "solver", "mode", "dataset", "frames", "mean_mm", "p95_mm", "max_mm", "rot_mean_deg", "sr1", "sr5",
@@ -68,6 +73,7 @@ def definitions() -> dict[str, Any]:
     return {
         "joint_spike_rad_per_frame": JOINT_SPIKE_RAD,
         "estop_rad_per_frame": ESTOP_RAD,
+        "step_tolerance_rad": STEP_TOLERANCE_RAD,
         "limit_tolerance_rad": LIMIT_TOLERANCE_RAD,
         "jerk_unit": "rad/frame^3",
         "singular_value_below": rules.SINGULAR_VALUE,

