@@ -130,7 +130,12 @@ class MimicIKAdapter:
         self.lower, self.upper = (np.array([getattr(j, side) for j in joints]) for side in ("lower", "upper"))
         self._command: Array | None = None
         self._branch = BranchChange(
-            self.chain, self.lower, self.upper, self.settings.branch_distance, self.settings.branch_detour
+            self.chain,
+            self.lower,
+            self.upper,
+            self._is_reached,
+            self.settings.branch_distance,
+            self.settings.branch_detour,
         )
 
     @classmethod
@@ -244,7 +249,7 @@ class MimicIKAdapter:
 
     def _solve(self, start: Array, target: Array) -> IKResult:
         settings = self.settings
-        goal = self._branch.follow(target, self._tolerance)
+        goal = self._branch.follow(target)
         if goal is not None:
             return self._changing(start, goal, target)
         here = self.forward(start)
@@ -267,7 +272,7 @@ class MimicIKAdapter:
         best = pose_distance(self.forward(closest), target)
         other, _ = self._within_a_step(start, closest)
         if not self._is_reached(best):
-            goal = self._branch.look(start, closest, target, self._tolerance)
+            goal = self._branch.look(start, closest, target)
             if goal is not None:
                 return self._changing(start, goal, target)
             # What a network says about poses outside its training is no guide to the edge of the workspace.
@@ -316,12 +321,8 @@ class MimicIKAdapter:
             return q, False
         return start + (q - start) * (self.settings.max_step / step), True
 
-    @property
-    def _tolerance(self) -> tuple[float, float]:
-        return self.settings.position_tolerance, self.settings.rotation_tolerance
-
     def _is_reached(self, errors: tuple[float, float]) -> bool:
-        return errors[0] <= self._tolerance[0] and errors[1] <= self._tolerance[1]
+        return errors[0] <= self.settings.position_tolerance and errors[1] <= self.settings.rotation_tolerance
 
     def _cost(self, errors: tuple[float, float]) -> float:
         """Distance in tolerances, to compare errors by."""

@@ -42,6 +42,12 @@ def test_recordings_become_a_dataset(tmp_path, source, capsys):
         (["--source=ee", "--input=x"], "--output is missing"),
         (["--source=synthetic", "--output=x"], "--episodes must be positive"),
         (["--source=synthetic", "--output=x", "--episodes=3", "--input=y"], "belong to --source=ee"),
+        (
+            ["--source=joints", "--output=x", "--input=y", "--episodes=2"],
+            "does not belong to --source=joints",
+        ),
+        (["--source=joints", "--output=x", "--input=y", "--columns.gripper=g"], "does not belong"),
+        (["--source=ee", "--output=x", "--input=y", "--columns.joints=q1"], "belongs to --source=joints"),
         (["--source=ee", "--output=x", "--input=nothing.csv"], "nothing.csv does not exist"),
         (["--source=ee", "--output=x", "--input=y", "--robot=nobody"], "neither a shipped arm"),
         (

@@ -32,6 +32,15 @@ def test_a_table_is_cut_into_its_groups(tmp_path, suffix):
         _assert_poses(recording.pose, pose)
 
 
+def test_numbers_that_name_a_recording_stay_as_written(tmp_path):
+    table = hand_table(2).assign(session=7)
+    table.to_parquet(tmp_path / "hands.parquet")
+    assert [r.name for r in load_recordings(tmp_path / "hands.parquet")] == [
+        "session=7/episode=0",
+        "session=7/episode=1",
+    ]
+
+
 def test_a_folder_of_tables_is_one_source(tmp_path):
     for index in (1, 0):
         hand_table(1)[["t", "x", "y", "z", "qx", "qy", "qz", "qw"]].to_csv(

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import draccus
 
@@ -249,24 +249,22 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
 def _write_logs(config: MakeDatasetConfig, description: ArmDescription) -> LogSummary:
     from lerobot_mimicik.data.joint_logs import LogColumns, write_joint_logs
 
+    columns = config.columns
     for option in ("episodes", "lag", "test_share", "resume"):
         if getattr(config, option):
             raise ValueError(f"--{option} does not belong to --source=joints")
-    columns = config.columns
+    for option in ("position", "rotation", "gripper"):
+        if getattr(columns, option):
+            raise ValueError(f"--columns.{option} does not belong to --source=joints: logs of joints only")
     return write_joint_logs(
         config.input,
         config.output,
         description,
         LogColumns(
+            **_table_columns(columns),
             joints=tuple(words(columns.joints)),
             commands=tuple(words(columns.commands)),
             units=columns.joint_units,
-            time=columns.time,
-            time_unit=columns.time_unit,
-            fps=columns.fps,
-            groups=tuple(words(columns.groups)),
-            session=tuple(words(columns.session)),
-            task=columns.task,
         ),
         fps=config.fps,
         max_gap=config.fit.max_gap,
@@ -307,18 +305,28 @@ def _retarget_options(config: MakeDatasetConfig) -> RetargetOptions:
 
 
 def _source_columns(options: ColumnOptions) -> SourceColumns:
+    for option in ("joints", "commands"):
+        if getattr(options, option):
+            raise ValueError(f"--columns.{option} belongs to --source=joints")
     return SourceColumns(
-        time=options.time,
-        time_unit=options.time_unit,
-        fps=options.fps,
+        **_table_columns(options),
         position=tuple(words(options.position)),
         rotation=tuple(words(options.rotation)),
         quaternion_order=options.quaternion_order,
-        groups=tuple(words(options.groups)),
-        session=tuple(words(options.session)),
         gripper=options.gripper,
-        task=options.task,
     )
+
+
+def _table_columns(options: ColumnOptions) -> dict[str, Any]:
+    """What both kinds of recorded tables have."""
+    return {
+        "time": options.time,
+        "time_unit": options.time_unit,
+        "fps": options.fps,
+        "groups": tuple(words(options.groups)),
+        "session": tuple(words(options.session)),
+        "task": options.task,
+    }
 
 
 def _numbers(text: str, option: str) -> tuple[float, ...]:

@@ -17,16 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lerobot_mimicik.data.tables import (
-    GROUPS,
-    existing,
-    group_rows,
-    guess_one,
-    label,
-    read_table,
-    stamps,
-    table_files,
-)
+from lerobot_mimicik.data.tables import TableColumns, existing, read_table, spans, table_files
 from lerobot_mimicik.data.writer import LOG_FILE, Episode, write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
@@ -36,30 +27,21 @@ _USUAL = ("{name}", "{name}.pos", "q{i}", "joint{i}", "joint_{i}")
 
 
 @dataclass(frozen=True)
-class LogColumns:
+class LogColumns(TableColumns):
     """Which columns of a log mean what; an empty field but `commands` is guessed from usual names.
 
     Attributes:
         joints: measured joints, in the arm's order.
         commands: commanded joints; empty: each frame aims at the next measured joints.
         units: "rad" or "deg".
-        time, time_unit, fps: as `lerobot_mimicik.data.tables.stamps` takes them.
-        groups: columns that together name one recording.
-        session: columns that together name a session; default: `groups` without the last.
-        task: what is done, a sentence per row.
     """
 
     joints: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
     units: str = "rad"
-    time: str = ""
-    time_unit: str = ""
-    fps: float = 0.0
-    groups: tuple[str, ...] = ()
-    session: tuple[str, ...] = ()
-    task: str = ""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.units not in ("rad", "deg"):
             raise ValueError(f"joint units must be rad or deg, got {self.units!r}")
 
@@ -139,19 +121,13 @@ def _episodes(
     chain = array_chain(description)
     measured = _joint_columns(table, columns.joints, description, where)
     commanded = _joint_columns(table, columns.commands, description, where) if columns.commands else measured
-    groups = existing(table, columns.groups, where, "group") or tuple(
-        name for name in GROUPS if name in table.columns
-    )
-    session = existing(table, columns.session, where, "session") or groups[:-1]
-    time = stamps(table, columns.time, columns.time_unit, columns.fps, where)
-    tasks = guess_one(table, columns.task, "task", where)
     unit = math.pi / 180 if columns.units == "deg" else 1.0
     joints = table[measured + commanded].to_numpy(dtype=np.float64) * unit
-    for rows in group_rows(table, groups):
-        for piece in _pieces(time, joints, rows, max_gap):
-            if time[piece[-1]] - time[piece[0]] < max(min_duration, 2 / fps):
+    for span in spans(table, columns, where, path.name):
+        for t, values in _pieces(span.t, joints[span.rows], max_gap):
+            if t[-1] - t[0] < max(min_duration, 2 / fps):
                 continue
-            state, action = np.hsplit(_resampled(time[piece], joints[piece], fps), 2)
+            state, action = np.hsplit(_resampled(t, values, fps), 2)
             # A frame's action is what holds at the next.
             state, action = state[:-1], action[1:]
             yield Episode(
@@ -159,8 +135,8 @@ def _episodes(
                 action=action,
                 ee_pose=chain.pose(state),
                 ee_target=chain.pose(action),
-                task=task if tasks is None else str(table[tasks].iloc[piece[0]]),
-                session=label(table, session, rows[0]) or label(table, groups, rows[0]) or path.name,
+                task=span.task or task,
+                session=span.session,
             )
 
 
@@ -183,14 +159,15 @@ def _joint_columns(
     )
 
 
-def _pieces(time: np.ndarray, joints: np.ndarray, rows: np.ndarray, max_gap: float) -> Iterator[np.ndarray]:
-    """Rows of uninterrupted recordings: finite, stamps strictly rising, no hole longer than `max_gap`."""
-    rows = rows[np.isfinite(time[rows]) & np.isfinite(joints[rows]).all(axis=1)]
+def _pieces(time: np.ndarray, joints: np.ndarray, max_gap: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Stamps and joints of what is uninterrupted: finite, stamps strictly rising, no hole longer than `max_gap`."""
+    rows = np.flatnonzero(np.isfinite(time) & np.isfinite(joints).all(axis=1))
     if not len(rows):
         return
     latest = np.maximum.accumulate(time[rows])
     rows = rows[np.concatenate([[True], time[rows][1:] > latest[:-1]])]
-    yield from np.split(rows, np.flatnonzero(np.diff(time[rows]) > max_gap) + 1)
+    for piece in np.split(rows, np.flatnonzero(np.diff(time[rows]) > max_gap) + 1):
+        yield time[piece], joints[piece]
 
 
 def _resampled(time: np.ndarray, values: np.ndarray, fps: int) -> np.ndarray:

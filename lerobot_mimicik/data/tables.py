@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,43 @@ _ONE = {
     ),
     "task": ("task", "instruction", "language_instruction"),
 }
+
+
+@dataclass(frozen=True)
+class TableColumns:
+    """Which columns of a table say when, who and what; an empty field is guessed from the names usual in the field.
+
+    Attributes:
+        time: stamps. A table without stamps needs `fps`.
+        time_unit: s, ms, us, ns; empty: seconds if the median step lies between 0.1 ms and 2 s, else the
+            first of ms, us, ns for which it does.
+        fps: frame rate of a table without stamps [Hz], 0 if it has them.
+        groups: columns that together name one recording.
+        session: columns that together name a session; default: `groups` without the last.
+        task: what is done, a sentence per row.
+    """
+
+    time: str = ""
+    time_unit: str = ""
+    fps: float = 0.0
+    groups: tuple[str, ...] = ()
+    session: tuple[str, ...] = ()
+    task: str = ""
+
+    def __post_init__(self) -> None:
+        if self.time_unit and self.time_unit not in TIME_UNITS:
+            raise ValueError(f"time_unit must be one of {', '.join(TIME_UNITS)}, got {self.time_unit!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """One recording in a table: its rows in order, its stamps [s], and what the table says of it, if anything."""
+
+    rows: np.ndarray
+    t: np.ndarray
+    name: str
+    session: str
+    task: str
 
 
 def table_files(source: Path) -> list[Path]:
@@ -96,11 +135,6 @@ def group_rows(table: pd.DataFrame, groups: tuple[str, ...]) -> list[np.ndarray]
     return np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
 
 
-def label(table: pd.DataFrame, names: tuple[str, ...], row: int) -> str:
-    """What the named columns say in a row, such as "person=11/session=1"."""
-    return "/".join(f"{name}={table[name].iloc[row]}" for name in names)
-
-
 def existing(table: pd.DataFrame, names: tuple[str, ...], where: str, role: str) -> tuple[str, ...]:
     """`names`, of which every one must be a column, or ValueError."""
     missing = [name for name in names if name not in table.columns]
@@ -111,28 +145,50 @@ def existing(table: pd.DataFrame, names: tuple[str, ...], where: str, role: str)
     return tuple(names)
 
 
-def stamps(table: pd.DataFrame, column: str, unit: str, fps: float, where: str) -> np.ndarray:
-    """Stamps of all rows in seconds (N,); rows counted at the given rate if there are none.
+def spans(table: pd.DataFrame, columns: TableColumns, where: str, default_name: str) -> Iterator[Span]:
+    """The recordings of a table, cut by its group columns.
 
     Args:
         table: the table.
-        column: where they are; empty: a usual name.
-        unit: one of `TIME_UNITS`; empty: seconds if the median step lies between 0.1 ms and 2 s, else the
-            first of the others for which it does.
-        fps: frame rate of a table without stamps [Hz], 0 if it has them.
+        columns: what its columns mean.
         where: how messages call the table.
+        default_name: of a recording, and its session, that no column names.
 
     Raises:
-        ValueError: no stamps, or none that can be understood.
+        ValueError: columns that do not exist, rows that belong to no recording, no stamps, or stamps that cannot
+            be understood.
     """
-    name = guess_one(table, column, "time", where)
+    groups = existing(table, columns.groups, where, "group") or tuple(
+        name for name in GROUPS if name in table.columns
+    )
+    session = existing(table, columns.session, where, "session") or groups[:-1]
+    time, task = _stamps(table, columns, where), guess_one(table, columns.task, "task", where)
+    for rows in group_rows(table, groups):
+        name = _label(table, groups, rows[0]) or default_name
+        yield Span(
+            rows=rows,
+            t=time[rows],
+            name=name,
+            session=_label(table, session, rows[0]) or name,
+            task="" if task is None else str(table[task].iloc[rows[0]]),
+        )
+
+
+def _label(table: pd.DataFrame, names: tuple[str, ...], row: int) -> str:
+    """What the named columns say in a row, such as "person=11/session=1"."""
+    return "/".join(f"{name}={table[name].iloc[row]}" for name in names)
+
+
+def _stamps(table: pd.DataFrame, columns: TableColumns, where: str) -> np.ndarray:
+    """Stamps of all rows in seconds (N,); rows counted at the given rate if there are none."""
+    name = guess_one(table, columns.time, "time", where)
     if name is None:
-        if fps <= 0:
+        if columns.fps <= 0:
             raise ValueError(
                 f"{where} has no time column (looked for the usual names) and no frame rate was given; "
                 f"its columns: {', '.join(map(str, table.columns))}"
             )
-        return np.arange(len(table)) / fps
+        return np.arange(len(table)) / columns.fps
     found = table[name]
     present = found.dropna()
     if present.empty:
@@ -143,7 +199,7 @@ def stamps(table: pd.DataFrame, column: str, unit: str, fps: float, where: str) 
         raise ValueError(f"{where}: time column {name!r} holds {found.dtype}, expected numbers or datetimes")
     # The origin goes first: nanoseconds since 1970 do not fit a float64 to the microsecond.
     values = (found - present.iloc[0]).to_numpy(dtype=np.float64)
-    return values * _time_scale(values, unit, f"{where}, column {name!r}")
+    return values * _time_scale(values, columns.time_unit, f"{where}, column {name!r}")
 
 
 def _time_scale(values: np.ndarray, unit: str, where: str) -> float:

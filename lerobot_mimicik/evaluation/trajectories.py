@@ -162,7 +162,7 @@ def first_seconds(
     Raises:
         ValueError: If a time is shorter than a frame.
     """
-    frames_each, left = (min(seconds * trajectories.fps, 1e15) for seconds in (of_each, in_all))
+    frames_each, left = of_each * trajectories.fps, in_all * trajectories.fps
     if frames_each < 1 or left < 1:
         raise ValueError(f"{min(of_each, in_all):g} s is less than a frame at {trajectories.fps:g} fps.")
     kept: list[Trajectory] = []

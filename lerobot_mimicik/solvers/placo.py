@@ -69,7 +69,7 @@ class PlacoSolver(IterativeSolver):
 
     name = "placo"
     configuration = (
-        "A soft FrameTask, weights 1 and 1, regularization 1e-6, several iterations from the "
+        "A soft FrameTask, weights 1 and 1, regularization 1e-6, up to 20 iterations from the "
         "measured joints, joint limits and at most 0.1 rad from the measured joints. After "
         "https://placo.readthedocs.io/en/stable/kinematics/getting_started.html"
     )

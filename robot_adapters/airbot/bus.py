@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Callable
 from typing import Any
@@ -36,7 +37,7 @@ _DEFAULT_CHANNELS = {"socketcan": "can0", "virtual": "airbot", "udp_multicast": 
 def open_bus(interface: str, channel: str | None = None, **options: Any) -> can.BusABC:
     """Open a classic CAN bus at 1 Mbit/s.
 
-    `interface` is any of python-can's, `INTERFACES` are the tried ones; `channel` defaults to can0, to a bus
+    `interface` is any of python-can's, `INTERFACES` are the usual ones; `channel` defaults to can0, to a bus
     called airbot or to a local multicast group. `options` go to python-can. Raises BusError with the remedy
     when it cannot be opened.
     """
@@ -49,13 +50,13 @@ def open_bus(interface: str, channel: str | None = None, **options: Any) -> can.
         options.setdefault("bitrate", BITRATE)
     _quieten()
     try:
-        if interface == "slcan":
+        if interface == "slcan" and os.name == "posix":
             from robot_adapters.airbot.serial_line import SerialLineBus
 
             return SerialLineBus(channel, **options)
         return can.Bus(interface=interface, channel=channel, receive_own_messages=False, **options)
     except (can.CanError, OSError, ImportError, ValueError) as error:
-        remedy = _REMEDIES.get(interface, f"tried interfaces are {', '.join(INTERFACES)}").format(
+        remedy = _REMEDIES.get(interface, f"usual interfaces are {', '.join(INTERFACES)}").format(
             channel=channel
         )
         raise BusError(f"cannot open CAN bus {interface}:{channel} ({error}); {remedy}") from error

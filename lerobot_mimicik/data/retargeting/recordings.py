@@ -16,53 +16,29 @@ import numpy as np
 import pandas as pd
 
 from lerobot_mimicik.data.retargeting.pose_columns import PoseColumns, find_pose_columns, gather_poses
-from lerobot_mimicik.data.tables import (
-    GROUPS,
-    TIME_UNITS,
-    existing,
-    group_rows,
-    guess_one,
-    label,
-    read_table,
-    stamps,
-    table_files,
-)
+from lerobot_mimicik.data.tables import TableColumns, group_rows, guess_one, read_table, spans, table_files
 
 
 @dataclass(frozen=True)
-class SourceColumns:
+class SourceColumns(TableColumns):
     """Which columns of the source mean what; an empty field is guessed from the names usual in the field.
 
     Attributes:
-        time: stamps. A table without stamps needs `fps`.
-        time_unit: s, ms, us, ns; empty: seconds if the median step lies between 0.1 ms and 2 s, else the
-            first of ms, us, ns for which it does.
-        fps: frame rate of a source without stamps [Hz], 0 if it has them.
         position: three columns, or one column of 3-vectors [m].
         rotation: four columns (quaternion) or three (rotation vector), or one column of such vectors.
         quaternion_order: "xyzw" or "wxyz".
-        groups: columns that together name one recording.
-        session: columns that together name a session; default: `groups` without the last.
         gripper: gripper width or opening, passed through.
-        task: what is done, a sentence per row.
     """
 
-    time: str = ""
-    time_unit: str = ""
-    fps: float = 0.0
     position: tuple[str, ...] = ()
     rotation: tuple[str, ...] = ()
     quaternion_order: str = "xyzw"
-    groups: tuple[str, ...] = ()
-    session: tuple[str, ...] = ()
     gripper: str = ""
-    task: str = ""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.quaternion_order not in ("xyzw", "wxyz"):
             raise ValueError(f"quaternion_order must be 'xyzw' or 'wxyz', got {self.quaternion_order!r}")
-        if self.time_unit and self.time_unit not in TIME_UNITS:
-            raise ValueError(f"time_unit must be one of {', '.join(TIME_UNITS)}, got {self.time_unit!r}")
 
 
 @dataclass
@@ -112,26 +88,18 @@ def _split_table(
 ) -> list[Recording]:
     """Cut a table into recordings by its group columns."""
     found = find_pose_columns(table, columns.position, columns.rotation, where)
-    groups = existing(table, columns.groups, where, "group") or tuple(
-        name for name in GROUPS if name in table.columns
-    )
-    session = existing(table, columns.session, where, "session") or groups[:-1]
-    time, gripper = (
-        stamps(table, columns.time, columns.time_unit, columns.fps, where),
-        guess_one(table, columns.gripper, "gripper", where),
-    )
-    task = guess_one(table, columns.task, "task", where)
+    gripper = guess_one(table, columns.gripper, "gripper", where)
     pose = gather_poses(table, found, columns.quaternion_order, where)
     return [
         Recording(
-            name=label(table, groups, rows[0]) or default_name,
-            session=label(table, session, rows[0]) or label(table, groups, rows[0]) or default_name,
-            t=time[rows],
-            pose=pose[rows],
-            gripper=None if gripper is None else table[gripper].to_numpy(dtype=np.float64)[rows],
-            task="" if task is None else str(table[task].iloc[rows[0]]),
+            name=span.name,
+            session=span.session,
+            t=span.t,
+            pose=pose[span.rows],
+            gripper=None if gripper is None else table[gripper].to_numpy(dtype=np.float64)[span.rows],
+            task=span.task,
         )
-        for rows in group_rows(table, groups)
+        for span in spans(table, columns, where, default_name)
     ]
 
 
