@@ -60,9 +60,8 @@ class IKClient(IKSolver):
             OSError: If a key file does not exist.
         """
         is_local(address)  # raises where it is no address
-        if not timeout_s > 0:
-            raise ValueError(f"timeout_s must be positive, got {timeout_s}.")
-        self.address, self.solver, self.timeout_s = address, solver, timeout_s
+        self.address, self.solver = address, solver
+        self._timeout_s = _positive(timeout_s)
         self.name = name or f"{solver} (remote)"
         self._keys = keys
         self._max_bytes: int | None = None
@@ -93,6 +92,20 @@ class IKClient(IKSolver):
             )
         self.batched = bool(solvers[self.solver])
         self._max_bytes = max_bytes
+
+    @property
+    def timeout_s(self) -> float:
+        """Longest wait for an answer, in s."""
+        return self._timeout_s
+
+    @timeout_s.setter
+    def timeout_s(self, seconds: float) -> None:
+        self._timeout_s = _positive(seconds)
+        self._limit_waiting(self._socket)
+
+    def _limit_waiting(self, socket: zmq.Socket) -> None:
+        # Not with every question: to tell a socket takes long beside an answer from the same computer.
+        socket.sndtimeo = socket.rcvtimeo = max(1, round(1e3 * self.timeout_s))
 
     def reset(self, q: Array) -> None:
         """Forget all history on the server; (dof,) or (B, dof). Opens a session if there is none (any more)."""
@@ -151,15 +164,11 @@ class IKClient(IKSolver):
                 "ask about fewer rows at a time."
             )
         deadline = time.monotonic() + self.timeout_s
-        self._socket.rcvtimeo = self._timeout_ms
         try:
             self._socket.send(message)
-            while True:
-                number, value = protocol.unpack_reply(self._socket.recv())
-                if number == self._number:
-                    break
-                # The answer to a question that an exception of the caller's (a signal, say) left behind.
-                self._socket.rcvtimeo = max(0, round(1e3 * (deadline - time.monotonic())))
+            number, value = protocol.unpack_reply(self._socket.recv())
+            if number != self._number:
+                value = self._later_answer(deadline)
         except zmq.Again:
             self._socket.close(0)
             self._socket = self._connect()
@@ -168,11 +177,22 @@ class IKClient(IKSolver):
             raise value
         return value
 
+    def _later_answer(self, deadline: float) -> Any:
+        """The answer to the last question, after those to ones that a caller's exception (a signal, say) left."""
+        try:
+            while True:
+                self._socket.rcvtimeo = max(0, round(1e3 * (deadline - time.monotonic())))
+                number, value = protocol.unpack_reply(self._socket.recv())
+                if number == self._number:
+                    return value
+        finally:
+            self._limit_waiting(self._socket)
+
     def _connect(self) -> zmq.Socket:
         socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
         try:
             socket.linger = 0
-            socket.sndtimeo = self._timeout_ms
+            self._limit_waiting(socket)
             socket.ipv6 = "[" in self.address
             if self._keys is not None:
                 secure_client(socket, self._keys)
@@ -181,10 +201,6 @@ class IKClient(IKSolver):
             socket.close(0)
             raise
         return socket
-
-    @property
-    def _timeout_ms(self) -> int:
-        return max(1, round(1e3 * self.timeout_s))
 
     def _timeout_message(self) -> str:
         keys = (
@@ -196,6 +212,12 @@ class IKClient(IKSolver):
             f"No answer from {self.address} within {self.timeout_s:g} s. Is `mimicik serve` running there, can "
             f"it be reached, {keys}? If it is only slow, raise timeout_s."
         )
+
+
+def _positive(timeout_s: float) -> float:
+    if not timeout_s > 0:
+        raise ValueError(f"timeout_s must be positive, got {timeout_s}.")
+    return timeout_s
 
 
 def _floats(array: Array) -> list[Any]:
