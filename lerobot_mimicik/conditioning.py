@@ -3,7 +3,7 @@
 - ``paper``: q, current pose, target pose (20 numbers for six joints).
 - ``relative``: q, current pose, and the target relative to it: translation difference in the base frame
   and rotation vector of R_tgt R_curr^T (19 numbers), which spares the network the difference of two
-  nearly equal poses.
+  nearly equal poses. A target further away than training ever asked for becomes a step towards it.
 
 Joints, positions and relative poses go to [-1, 1] by min-max, quaternions stay as they are.
 """
@@ -13,6 +13,10 @@ from torch import Tensor, nn
 
 from lerobot_mimicik.kinematics.rotations import relative_pose
 from lerobot_mimicik.normalisation import MinMax
+
+_FAR = 3.0
+_SURE = 0.5
+_MOVED = 1e-6  # m or rad: a dimension that training never used limits nothing
 
 
 class Conditioning(nn.Module):
@@ -47,7 +51,7 @@ class Conditioning(nn.Module):
 
 
 class RelativeConditioning(Conditioning):
-    """The target as seen from the current pose."""
+    """The target as seen from the current pose, as far as training has seen any."""
 
     def __init__(self, dof: int):
         super().__init__(dof)
@@ -61,8 +65,22 @@ class RelativeConditioning(Conditioning):
         return {**super().quantities(q, current, target), "relative": relative_pose(current, target)}
 
     def forward(self, q: Tensor, current: Tensor, target: Tensor) -> Tensor:
-        relative = self.relative.normalise(relative_pose(current, target))
+        relative = self.relative.normalise(self._within_reach(relative_pose(current, target)))
         return torch.cat([self.joints.normalise(q), self._pose(current), relative], dim=-1)
+
+    def _within_reach(self, relative: Tensor) -> Tensor:
+        """The same direction, no further than training asked for, shape (*, 6).
+
+        Behind a target that it cannot follow at once the network would else be asked for what it never saw, and
+        would not come back. Steps of the largest size are rare in training: from a target `_FAR` times too far on
+        the step is the share `_SURE` of the largest.
+        """
+        largest = torch.where(relative > 0, self.relative.upper, -self.relative.lower)
+        times = (
+            (relative.abs() / largest).where(largest > _MOVED, 0.0).amax(dim=-1, keepdim=True).clamp(min=1.0)
+        )
+        caution = (1 - _SURE) * ((times - 1) / (_FAR - 1)).clamp(max=1.0)
+        return relative * (1 - caution) / times
 
 
 CONDITIONINGS = {"paper": Conditioning, "relative": RelativeConditioning}

@@ -1,9 +1,12 @@
 """Deployment over the bus: along recorded and generated motion, in plant mode, and what the reports say."""
 
 import json
+import threading
+import time
 
 import numpy as np
 import pytest
+from arm_process import arm_process
 
 from lerobot_mimicik.cli.main import main
 from lerobot_mimicik.evaluation.rollouts import RolloutOptions, known_modes, make_rollouts
@@ -12,6 +15,7 @@ from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers import make_solver
 from robot_adapters.adapter import MimicIKAdapter
+from robot_adapters.airbot.bus import BusError, open_bus
 from robot_adapters.airbot.cell import SimulatedCell
 from robot_adapters.airbot.faults import Fault, FaultKind
 from robot_adapters.deployment import approach, drive
@@ -144,6 +148,33 @@ def test_deploy_command(mimicik_run, tmp_path, options):
     assert not summary["protections"][0]["emergency_stop"]
     assert sum(summary["ik"]["statuses"].values()) == 100
     assert (tmp_path / "deployment.rrd").stat().st_size > 10_000
+
+
+def test_a_deployment_that_the_arm_ends_is_reported_as_far_as_it_went(mimicik_run, tmp_path, capsys):
+    pytest.importorskip("msgpack")
+    channel = "239.74.163.78"
+    try:
+        witness = open_bus("udp_multicast", channel)
+    except BusError as error:
+        pytest.skip(f"no multicast here: {error}")
+    data = mimicik_run.parent / "data" / "ood"
+    options = [f"--policy.path={mimicik_run}", f"--dataset.root={data}", f"--out={tmp_path}"]
+    with witness, arm_process("udp_multicast", channel) as arm:
+
+        def cut_the_power():
+            while (frame := witness.recv(60.0)) is not None and frame.arbitration_id != 1:
+                pass
+            time.sleep(8.0)
+            arm.kill()
+
+        threading.Thread(target=cut_the_power).start()
+        assert main(["deploy", *options, "--interface=udp_multicast", f"--channel={channel}"]) == 1
+    assert "The arm stopped" in capsys.readouterr().err
+    (row,) = json.loads((tmp_path / "report.json").read_text())["rows"]
+    summary = json.loads((tmp_path / "deployment.json").read_text())
+    assert 0 < summary["frames"] < row["frames"] == 400
+    assert row["episodes"] == 1
+    assert "FeedbackTimeout" in summary["stopped"]
 
 
 # --- The doctor ---

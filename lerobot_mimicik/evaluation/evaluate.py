@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -37,6 +37,11 @@ class Recording:
     set: TrajectorySet
     singular_value: tuple[Array, ...]
     passages: tuple[tuple[Passage, ...], ...]
+
+    def first(self, count: int) -> Recording:
+        """The first so many of its trajectories."""
+        kept = replace(self.set, trajectories=self.set.trajectories[:count])
+        return Recording(kept, self.singular_value[:count], self.passages[:count])
 
 
 @dataclass(frozen=True, eq=False)

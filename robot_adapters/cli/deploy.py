@@ -128,9 +128,10 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     logs, extra = _drive(config, adapter, recording, progress)
     used, stolen = _processor_time() - before
     extra["stolen_percent"] = round(100 * float(stolen / used), 1) if used else None
+    recording = recording.first(len(logs))  # the arm may have stopped before the others
     rollouts = [
         Rollout(trajectory, log.before, log.commanded, log.asked)
-        for trajectory, log in zip(recording.set.trajectories, logs, strict=False)
+        for trajectory, log in zip(recording.set.trajectories, logs, strict=True)
     ]
     traces = tuple(measure(arm, rollouts))
     solve = [ms for log in logs for ms in log.solve_ms]
@@ -224,7 +225,13 @@ def _drive(
             adapter.reset()
             try:
                 arm.connect()
-                approach(arm, clock, trajectory.q[0], 1.0 / fps)
+                try:
+                    approach(arm, clock, trajectory.q[0], 1.0 / fps)
+                except RuntimeError as error:
+                    if not logs:
+                        raise
+                    logs[-1].stopped = str(error)
+                    break
                 log = drive(
                     arm,
                     clock,
@@ -293,8 +300,8 @@ def _tool_error(adapter: MimicIKAdapter, recording: Recording, logs: list[Deploy
 
     errors = [
         float(np.linalg.norm(adapter.forward(q)[:3] - target[:3]) * 1e3)
-        for trajectory, log in zip(recording.set.trajectories, logs, strict=False)
-        for q, target in zip(log.measured[: log.asked], trajectory.target, strict=False)
+        for trajectory, log in zip(recording.set.trajectories, logs, strict=True)
+        for q, target in zip(log.measured[: log.asked], trajectory.target[: log.asked], strict=True)
     ]
     return {"median": _percentile(errors, 50), "p95": _percentile(errors, 95)}
 
