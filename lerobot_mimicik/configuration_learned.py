@@ -8,7 +8,7 @@ from lerobot.optim import AdamWConfig, LRSchedulerConfig
 from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig
 from lerobot.utils.constants import ACTION, OBS_STATE
 
-from lerobot_mimicik.data.columns import flat_names, joint_columns
+from lerobot_mimicik.columns import flat_names, joint_columns
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 
 _CHOICES = {

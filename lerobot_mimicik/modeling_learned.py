@@ -18,11 +18,11 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor, nn
 
+from lerobot_mimicik.batches.frames import FrameReader
+from lerobot_mimicik.batches.loading import FrameTable, read_batched
+from lerobot_mimicik.batches.statistics import RunningRange, iterate_frames
 from lerobot_mimicik.conditioning import CONDITIONINGS
 from lerobot_mimicik.configuration_learned import LearnedIKConfig
-from lerobot_mimicik.data.frames import FrameReader
-from lerobot_mimicik.data.loading import FrameTable, read_batched
-from lerobot_mimicik.data.statistics import RunningRange, iterate_frames
 from lerobot_mimicik.ema import ExponentialAverage
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.fk_loss import fk_consistency_loss

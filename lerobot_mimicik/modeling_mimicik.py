@@ -7,10 +7,10 @@ from huggingface_hub import CommitInfo, ModelCard
 from lerobot.datasets import LeRobotDatasetMetadata
 
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
-from lerobot_mimicik.hub import card_after_training, push_policy
 from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 from lerobot_mimicik.network import FlowGenerator, ObservationEncoder, SuDeepDiT
 from lerobot_mimicik.objective import OBJECTIVES, Objective
+from lerobot_mimicik.publishing.hub import card_after_training, push_policy
 
 
 class MimicIKPolicy(LearnedIKPolicy):

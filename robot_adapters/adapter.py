@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lerobot_mimicik.guidance.approach import towards
+from lerobot_mimicik.guidance.branches import BranchChange
+from lerobot_mimicik.guidance.closest import closest_configuration
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.point_chain import point_chain
+from lerobot_mimicik.kinematics.poses import PolicyFrames, decode_pose, pose_distance
+from lerobot_mimicik.kinematics.poses import PoseFormat as PoseFormat
 from lerobot_mimicik.solvers.base import IKSolver
-from robot_adapters.branches import BranchChange
-from robot_adapters.poses import PolicyFrames, decode_pose, pose_distance, towards
-from robot_adapters.poses import PoseFormat as PoseFormat
-from robot_adapters.reachability import closest_configuration
 
 if TYPE_CHECKING:
     from robot_adapters.end_effector_policy import EndEffectorPolicy
@@ -150,8 +151,9 @@ class MimicIKAdapter:
         Raises:
             FileNotFoundError, TypeError: if there is no checkpoint, or it is another policy's.
         """
+        from lerobot_mimicik.checkpoints import load_policy
         from lerobot_mimicik.kinematics.chain import SerialArm
-        from lerobot_mimicik.solvers.mimicik import MimicIKSolver, load_policy
+        from lerobot_mimicik.solvers.mimicik import MimicIKSolver
 
         policy = load_policy(str(path), device)
         description = policy.config.arm_description()

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_adapters.airbot.arm import AirbotArm, ArmState, CommandResult
-from robot_adapters.airbot.control import ArmMode
+from robot_adapters.can.control import ArmMode
 from robot_adapters.clock import Clock
 
 Array = NDArray[np.float64]

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_mimicik.kinematics.poses import pose_distance
 from robot_adapters.adapter import MimicIKAdapter
 from robot_adapters.airbot.arm import ArmState, CommandResult
-from robot_adapters.poses import pose_distance
 
 _TRAIL = 200  # frames of the path that stay in sight
 

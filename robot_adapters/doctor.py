@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from lerobot_mimicik.kinematics.arms import describe_arm
-from robot_adapters.airbot.bus import ask, open_bus
-from robot_adapters.airbot.dm_motor import DM_ERRORS
+from lerobot_mimicik.kinematics.poses import IDENTITY, PoseFormat, compose, decode_pose, pose_distance
 from robot_adapters.airbot.protocol import DmMotor, MotorFeedback
 from robot_adapters.airbot.startup import ArmIdentity, RangeError, identify
+from robot_adapters.can.bus import ask, open_bus
+from robot_adapters.can.dm_motor import DM_ERRORS
 from robot_adapters.clock import RealClock
-from robot_adapters.poses import IDENTITY, PoseFormat, compose, decode_pose, pose_distance
 from robot_adapters.safety import SafetyLimits
 
 _LIKELY_POSITION, _LIKELY_ROTATION = 0.005, 0.03  # m, rad: between FK and another's word on the same pose
@@ -147,7 +147,7 @@ class Doctor:
         )
 
     def _checkpoint(self) -> str:
-        from lerobot_mimicik.solvers.mimicik import load_policy
+        from lerobot_mimicik.checkpoints import load_policy
 
         try:
             self._policy = load_policy(self.options.policy_path, "cpu")
@@ -186,7 +186,7 @@ class Doctor:
         options = self.options
         try:
             if options.interface == "virtual":
-                from robot_adapters.airbot.simulated_arm import SimulatedArm
+                from robot_adapters.simulation.simulated_arm import SimulatedArm
 
                 channel = f"doctor-{id(self)}"
                 self._simulation = SimulatedArm(open_bus("virtual", channel), self._clock).start()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_adapters.poses import PolicyFrames
+from lerobot_mimicik.kinematics.poses import PolicyFrames
 
 if TYPE_CHECKING:
     from robot_adapters.adapter import IKResult, MimicIKAdapter

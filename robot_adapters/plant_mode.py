@@ -46,8 +46,8 @@ def plant_commanded(
 def _drive_all(
     solver: IKSolver, trajectories: Sequence[Trajectory], options: RolloutOptions, measured: bool
 ) -> list[Rollout]:
-    from robot_adapters.airbot.cell import SimulatedCell
     from robot_adapters.deployment import drive
+    from robot_adapters.simulation.cell import SimulatedCell
 
     rollouts = []
     with tqdm(

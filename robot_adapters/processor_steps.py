@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.poses import IDENTITY, PolicyFrames, PoseFormat
 from robot_adapters.adapter import AdapterSettings, IKResult, MimicIKAdapter
-from robot_adapters.poses import IDENTITY, PolicyFrames, PoseFormat
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 _POSE = ("x", "y", "z", "wx", "wy", "wz")

@@ -16,8 +16,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from lerobot_mimicik.kinematics.poses import PoseFormat
 from robot_adapters.adapter import AdapterSettings, MimicIKAdapter
-from robot_adapters.poses import PoseFormat
 
 _STATE, _ENVIRONMENT = "observation.state", "observation.environment_state"
 _COPIED = ("*.safetensors", "*.json", "*.md", "*.yaml")
@@ -56,7 +56,7 @@ def wrap_checkpoint(
     from lerobot.policies.factory import make_pre_post_processors
     from lerobot.processor import NormalizerProcessorStep, PolicyProcessorPipeline, ProcessorStep
 
-    from lerobot_mimicik.solvers.mimicik import find_checkpoint
+    from lerobot_mimicik.checkpoints import find_checkpoint
     from robot_adapters.processor_steps import EEActionToJoints, JointsToEEState, StateAsEnvironment
 
     output = Path(output)

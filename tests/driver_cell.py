@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from robot_adapters.airbot.cell import SimulatedCell
 from robot_adapters.airbot.settings import AirbotSettings
+from robot_adapters.simulation.cell import SimulatedCell
 
 QUICK = AirbotSettings(shutdown=0.02)
 

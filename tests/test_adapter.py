@@ -5,10 +5,10 @@ import pytest
 
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.kinematics.poses import PoseFormat, encode_pose
 from lerobot_mimicik.solvers import make_solver
 from lerobot_mimicik.solvers.base import IKSolver
 from robot_adapters.adapter import AdapterSettings, IKStatus, MimicIKAdapter
-from robot_adapters.poses import PoseFormat, encode_pose
 
 ARM = describe_arm("airbot_play")
 HOME = np.array(ARM.home)
@@ -261,7 +261,7 @@ class Remote:
 
 
 def test_chunks_are_used_up_and_refer_to_the_pose_at_which_they_were_asked():
-    from robot_adapters.poses import PolicyFrames, PoseReference
+    from lerobot_mimicik.kinematics.poses import PolicyFrames, PoseReference
 
     adapter, remote = adapter_with("mink"), Remote()
     frames = PolicyFrames(form=PoseFormat.ROTATION_VECTOR, reference=PoseReference.TOOL)
@@ -282,7 +282,7 @@ def test_chunks_are_used_up_and_refer_to_the_pose_at_which_they_were_asked():
 
 @pytest.mark.parametrize("form", PoseFormat)
 def test_every_pose_format_leads_to_the_same_joints(numerical, form):
-    from robot_adapters.poses import PolicyFrames
+    from lerobot_mimicik.kinematics.poses import PolicyFrames
 
     target = numerical.forward(HOME + 0.02)
     policy = numerical.wrap(lambda observation: encode_pose(target, form), PolicyFrames(form=form))

@@ -14,15 +14,15 @@ from driver_cell import QUICK, connected_cell, track
 pytest.importorskip("mujoco")
 
 from robot_adapters.airbot.arm import AirbotArm, NotConnectedError, StartRefusedError
-from robot_adapters.airbot.bus import BusError, NoAnswerError, open_bus
-from robot_adapters.airbot.cell import SimulatedCell
-from robot_adapters.airbot.control import ArmMode
-from robot_adapters.airbot.faults import Fault, FaultKind
-from robot_adapters.airbot.plant import PlantParameters
 from robot_adapters.airbot.protocol import DmMotor, Tool
 from robot_adapters.airbot.startup import RangeError, identify
+from robot_adapters.can.bus import BusError, NoAnswerError, open_bus
+from robot_adapters.can.control import ArmMode
 from robot_adapters.clock import RealClock, SimulatedClock
 from robot_adapters.safety import CommandStatus
+from robot_adapters.simulation.cell import SimulatedCell
+from robot_adapters.simulation.faults import Fault, FaultKind
+from robot_adapters.simulation.plant import PlantParameters
 
 
 @pytest.fixture
@@ -209,7 +209,7 @@ def test_real_time_smoke():
 
 SIGNALLED = """
 import atexit, os, signal, sys, threading, time
-from robot_adapters.airbot.cell import SimulatedCell
+from robot_adapters.simulation.cell import SimulatedCell
 from robot_adapters.clock import RealClock
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell has it ignored
 cell = SimulatedCell(RealClock(), handle_signals=True)

@@ -10,15 +10,15 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from robot_adapters.airbot.bus import open_bus
-from robot_adapters.airbot.campaign import Outcome, run_campaign, run_case, specified_outcomes
-from robot_adapters.airbot.faults import Fault, FaultKind
-from robot_adapters.airbot.feedback import MotorRecord
-from robot_adapters.airbot.listener import BusListener
 from robot_adapters.airbot.protocol import MotorFeedback, OdMotor
-from robot_adapters.airbot.soak import run_soak
+from robot_adapters.can.bus import open_bus
+from robot_adapters.can.feedback import MotorRecord
 from robot_adapters.clock import SimulatedClock
 from robot_adapters.safety import SafetyLimits
+from robot_adapters.simulation.campaign import Outcome, run_campaign, run_case, specified_outcomes
+from robot_adapters.simulation.faults import Fault, FaultKind
+from robot_adapters.simulation.listener import BusListener
+from robot_adapters.simulation.soak import run_soak
 
 FAULTS = int(os.environ.get("MIMICIK_FAULTS", "9"))
 SOAK_SECONDS = float(os.environ.get("MIMICIK_SOAK_SECONDS", "6"))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lerobot_mimicik.kinematics.arms import describe_arm
-from robot_adapters.airbot.gravity import GravityModel
+from robot_adapters.can.gravity import GravityModel
 
 mujoco = pytest.importorskip("mujoco")
 

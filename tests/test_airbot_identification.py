@@ -10,13 +10,13 @@ from lerobot_mimicik.kinematics.arms import describe_arm
 
 pytest.importorskip("mujoco")
 
-from robot_adapters.airbot.bus import open_bus
-from robot_adapters.airbot.gravity import GravityModel
-from robot_adapters.airbot.identification import MotionLog, follow, identify, tracking
-from robot_adapters.airbot.plant import PlantParameters
 from robot_adapters.airbot.protocol import DmLifecycle, MotorFeedback
-from robot_adapters.airbot.simulated_arm import SimulatedArm
+from robot_adapters.can.bus import open_bus
+from robot_adapters.can.gravity import GravityModel
 from robot_adapters.clock import SimulatedClock
+from robot_adapters.simulation.identification import MotionLog, follow, identify, tracking
+from robot_adapters.simulation.plant import PlantParameters
+from robot_adapters.simulation.simulated_arm import SimulatedArm
 
 DESCRIPTION = describe_arm("airbot_play")
 

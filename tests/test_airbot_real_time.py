@@ -4,8 +4,8 @@ import gc
 import logging
 import sys
 
-from robot_adapters.airbot.cell import SimulatedCell
 from robot_adapters.clock import RealClock
+from robot_adapters.simulation.cell import SimulatedCell
 
 
 def test_collections_are_short_while_any_arm_runs_and_usual_afterwards():

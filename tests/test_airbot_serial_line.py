@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from serial_line import joined_ports
 
-from robot_adapters.airbot.bus import open_bus
+from robot_adapters.can.bus import open_bus
 
 IDS, PAYLOADS = st.integers(0, 0x7FF), st.binary(max_size=8)
 

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 pytest.importorskip("mujoco")
 
-from robot_adapters.airbot.bus import BusError, ask, open_bus
-from robot_adapters.airbot.faults import Fault, FaultInjector, FaultKind, random_fault
-from robot_adapters.airbot.plant import PlantParameters
-from robot_adapters.airbot.protection import StepProtection
 from robot_adapters.airbot.protocol import DmLifecycle, DmMotor, DmRegister, MotorFeedback, OdMotor
-from robot_adapters.airbot.simulated_arm import SimulatedArm
+from robot_adapters.can.bus import BusError, ask, open_bus
 from robot_adapters.clock import SimulatedClock
+from robot_adapters.simulation.faults import Fault, FaultInjector, FaultKind, random_fault
+from robot_adapters.simulation.plant import PlantParameters
+from robot_adapters.simulation.protection import StepProtection
+from robot_adapters.simulation.simulated_arm import SimulatedArm
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import can
 import pytest
 from arm_process import arm_process, follow_for_a_while
 
-from robot_adapters.airbot.bus import bus_off_report, open_bus, reports_bus_off
+from robot_adapters.can.bus import bus_off_report, open_bus, reports_bus_off
 
 DEVICE = os.environ.get("MIMICIK_CAN", "vcan0")
 

@@ -11,13 +11,13 @@ from driver_cell import QUICK, connected_cell, names, track
 
 pytest.importorskip("mujoco")
 
-from robot_adapters.airbot.bus import open_bus
-from robot_adapters.airbot.cell import SimulatedCell
-from robot_adapters.airbot.control import ArmMode
-from robot_adapters.airbot.faults import Fault, FaultKind
 from robot_adapters.airbot.protocol import DmLifecycle, DmMotor
+from robot_adapters.can.bus import open_bus
+from robot_adapters.can.control import ArmMode
 from robot_adapters.clock import RealClock
 from robot_adapters.safety import CommandStatus
+from robot_adapters.simulation.cell import SimulatedCell
+from robot_adapters.simulation.faults import Fault, FaultKind
 
 
 @pytest.fixture

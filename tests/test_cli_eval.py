@@ -9,15 +9,15 @@ import torch
 from evaluation_cases import airbot, trajectory
 from lerobot.datasets import LeRobotDataset
 
+from lerobot_mimicik.batches.loading import FrameTable
+from lerobot_mimicik.checkpoints import find_checkpoint
 from lerobot_mimicik.cli.main import main
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
-from lerobot_mimicik.data.loading import FrameTable
 from lerobot_mimicik.data.writer import Episode, write_dataset
 from lerobot_mimicik.evaluation.report import ROW_KEYS
 from lerobot_mimicik.evaluation.rollouts import make_rollouts
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
 from lerobot_mimicik.solvers import make_solver
-from lerobot_mimicik.solvers.mimicik import find_checkpoint
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lerobot_mimicik.data.columns import flat_names, joint_columns
+from lerobot_mimicik.columns import flat_names, joint_columns
 
 JOINTS = ["joint1", "joint2", "joint3"]
 

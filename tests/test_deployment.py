@@ -15,11 +15,11 @@ from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers import make_solver
 from robot_adapters.adapter import MimicIKAdapter
-from robot_adapters.airbot.bus import BusError, open_bus
-from robot_adapters.airbot.cell import SimulatedCell
-from robot_adapters.airbot.faults import Fault, FaultKind
+from robot_adapters.can.bus import BusError, open_bus
 from robot_adapters.deployment import approach, drive
 from robot_adapters.doctor import Doctor, DoctorOptions, Outcome
+from robot_adapters.simulation.cell import SimulatedCell
+from robot_adapters.simulation.faults import Fault, FaultKind
 
 ARM = describe_arm("airbot_play")
 HOME = np.array(ARM.home)

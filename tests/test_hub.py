@@ -18,8 +18,8 @@ from safetensors.torch import load_file, save_file
 from teleop import write_teleop
 
 from lerobot_mimicik.cli import eval as eval_command
-from lerobot_mimicik.hub import find_report, read_report, weights_digest
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+from lerobot_mimicik.publishing.hub import find_report, read_report, weights_digest
 
 TRAINED = "user/mimicik-test"
 MEASURED = "user/mimicik-measured"

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
-from lerobot_mimicik.inference import TracedPolicy
+from lerobot_mimicik.inference.traced import TracedPolicy
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
 
 

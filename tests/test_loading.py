@@ -8,7 +8,7 @@ from lerobot.datasets import LeRobotDataset
 from teleop import write_teleop
 from torch.utils.data import default_collate
 
-from lerobot_mimicik.data.loading import BatchedLeRobotDataset, read_batched
+from lerobot_mimicik.batches.loading import BatchedLeRobotDataset, read_batched
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,10 @@ from teleop import write_teleop
 
 from lerobot_mimicik.baselines.configuration_mlp import MLPConfig
 from lerobot_mimicik.baselines.modeling_mlp import MLPPolicy
+from lerobot_mimicik.checkpoints import kind_of, load_policy
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
 from lerobot_mimicik.solvers import make_solver
-from lerobot_mimicik.solvers.mimicik import kind_of, load_policy
 
 SMALL = {"device": "cpu", "push_to_hub": False, "hidden_dim": 32, "n_layers": 2}
 

@@ -8,8 +8,8 @@ from hub_contents import check_metadata
 
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.evaluation.report import ROW_KEYS
-from lerobot_mimicik.model_card import TrainingFacts, model_card
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+from lerobot_mimicik.publishing.model_card import TrainingFacts, model_card
 
 SMALL = {"d_model": 16, "n_layers": 1, "n_heads": 2, "d_ff": 16, "device": "cpu"}
 RAIL = """<robot name="rail"><link name="a"/><link name="b"/><link name="c"/>

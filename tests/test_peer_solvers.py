@@ -12,6 +12,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from lerobot_mimicik.guidance.box_step import bounded_step, step_box
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.rotations import pose_error
@@ -19,8 +20,7 @@ from lerobot_mimicik.solvers import SolverUnavailable, available_solvers, make_s
 from lerobot_mimicik.solvers.availability import Package
 from lerobot_mimicik.solvers.base import known_solvers
 from lerobot_mimicik.solvers.chain_urdf import TOOL, chain_urdf
-from lerobot_mimicik.solvers.iterative import MAX_STEP, step_box
-from lerobot_mimicik.solvers.pinocchio import bounded_step
+from lerobot_mimicik.solvers.iterative import MAX_STEP
 
 BOUNDED = ("curobo", "mink", "pink", "pinocchio", "placo", "pybullet", "ssik")
 PEERS = (*BOUNDED, "pinocchio_undamped", "placo_lerobot")

@@ -8,8 +8,8 @@ import torch
 from lerobot.datasets import LeRobotDataset
 from lerobot.scripts import lerobot_train
 
-from lerobot_mimicik.data.loading import FrameTable
-from lerobot_mimicik.data.statistics import iterate_frames
+from lerobot_mimicik.batches.loading import FrameTable
+from lerobot_mimicik.batches.statistics import iterate_frames
 from lerobot_mimicik.kinematics.rotations import pose_error
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
 

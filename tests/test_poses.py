@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from robot_adapters.poses import (
+from lerobot_mimicik.guidance.approach import towards
+from lerobot_mimicik.kinematics.poses import (
     IDENTITY,
     PolicyFrames,
     PoseFormat,
@@ -16,7 +17,6 @@ from robot_adapters.poses import (
     encode_pose,
     inverse,
     pose_distance,
-    towards,
 )
 
 

@@ -11,9 +11,9 @@ from lerobot.processor.converters import robot_action_observation_to_transition,
 
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.kinematics.poses import PoseFormat, encode_pose
 from lerobot_mimicik.solvers import make_solver
 from robot_adapters.adapter import IKStatus, MimicIKAdapter
-from robot_adapters.poses import PoseFormat, encode_pose
 from robot_adapters.processor_steps import MimicIKEEToJoints
 from robot_adapters.wrapping import wrap_checkpoint
 

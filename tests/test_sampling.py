@@ -5,7 +5,7 @@ import itertools
 import pytest
 from lerobot.datasets.sampler import EpisodeAwareSampler
 
-from lerobot_mimicik.data.sampling import EpochSampler, vectorise_samplers
+from lerobot_mimicik.batches.sampling import EpochSampler, vectorise_samplers
 
 _ROWS = {row: 3 * row + 1 for row in range(40)}
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from evaluation_cases import DampedLeastSquares, Scripted, airbot, trajectory
 
+from lerobot_mimicik.checkpoints import LEARNED
 from lerobot_mimicik.solvers import known_solvers, make_solver, register_solver, solver_configuration
-from lerobot_mimicik.solvers.mimicik import LEARNED
 
 
 def test_hold_answers_where_the_arm_is():

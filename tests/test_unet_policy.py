@@ -14,10 +14,10 @@ from teleop import write_teleop
 from lerobot_mimicik.baselines.configuration_unet import UNetConfig
 from lerobot_mimicik.baselines.modeling_unet import Diffusion, UNetPolicy
 from lerobot_mimicik.baselines.unet import ConditionalUNet
+from lerobot_mimicik.checkpoints import load_policy
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
 from lerobot_mimicik.solvers import make_solver
-from lerobot_mimicik.solvers.mimicik import load_policy
 
 SIZES = {"channels": [16, 24], "condition_dim": 16, "n_groups": 4}
 SMALL = {"device": "cpu", "push_to_hub": False, **SIZES}

@@ -120,7 +120,7 @@ def run(config: DemoConfig) -> Path:
     )
     evaluations = evaluate(eval_config)
     print("4/4  Report", flush=True)
-    from lerobot_mimicik.cli.demo_report import write_demo_report
+    from lerobot_mimicik.evaluation.demo_report import write_demo_report
 
     curves = training_process.read_curves(output / "logs", log_freq)
     eval_command = (

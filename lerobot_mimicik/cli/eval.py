@@ -80,14 +80,14 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
     """
     import torch
 
+    from lerobot_mimicik.checkpoints import LEARNED, kind_of, load_policy
     from lerobot_mimicik.evaluation.evaluate import evaluate, study
     from lerobot_mimicik.evaluation.report import write_report
     from lerobot_mimicik.evaluation.rollouts import known_modes
     from lerobot_mimicik.evaluation.trajectories import Layout, distinct_names, load_trajectories
-    from lerobot_mimicik.hub import weights_digest
     from lerobot_mimicik.kinematics.chain import SerialArm
+    from lerobot_mimicik.publishing.hub import weights_digest
     from lerobot_mimicik.solvers import known_solvers, make_solver
-    from lerobot_mimicik.solvers.mimicik import LEARNED, kind_of, load_policy
 
     roots = words(config.dataset.root)
     if not roots:

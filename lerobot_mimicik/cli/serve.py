@@ -105,10 +105,10 @@ def make_server(config: ServeConfig) -> IKServer:
 def _solvers(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], IKSolver]]]:
     import torch
 
+    from lerobot_mimicik.checkpoints import load_policy
     from lerobot_mimicik.kinematics.arms import describe_arm
     from lerobot_mimicik.kinematics.chain import SerialArm
     from lerobot_mimicik.solvers import known_solvers, make_solver
-    from lerobot_mimicik.solvers.mimicik import load_policy
 
     known = [name for name in known_solvers() if name != "remote"]
     names = words(config.solvers) or (["hold", "mimicik"] if config.policy.path else ["hold"])

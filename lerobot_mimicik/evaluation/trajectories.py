@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from lerobot_mimicik.data.columns import flat_names, joint_columns
+from lerobot_mimicik.columns import flat_names, joint_columns
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import Array
 

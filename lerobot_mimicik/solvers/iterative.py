@@ -10,6 +10,7 @@ from abc import abstractmethod
 
 import numpy as np
 
+from lerobot_mimicik.guidance.box_step import step_box
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import Array, IKSolver
 
@@ -20,15 +21,6 @@ MAX_STEP = 0.1
 def joint_limits(arm: SerialArm) -> tuple[Array, Array]:
     """Position limits (dof,), (dof,) of an arm as numpy arrays; infinite for continuous joints."""
     return arm.lower.double().cpu().numpy(), arm.upper.double().cpu().numpy()
-
-
-def step_box(q: Array, lower: Array, upper: Array, max_step: float) -> tuple[Array, Array]:
-    """Lowest and highest joints to command next.
-
-    Within the limits and ``max_step`` of ``q``. A joint measured outside its limits is led back by at most
-    ``max_step``: the bound on the step is the stronger one.
-    """
-    return np.clip(lower, q - max_step, q + max_step), np.clip(upper, q - max_step, q + max_step)
 
 
 class IterativeSolver(IKSolver):

@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_mimicik.guidance.box_step import step_box
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.availability import Package
 from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
 from lerobot_mimicik.solvers.chain_urdf import TOOL, chain_urdf_file
-from lerobot_mimicik.solvers.iterative import MAX_STEP, joint_limits, step_box
+from lerobot_mimicik.solvers.iterative import MAX_STEP, joint_limits
 
 PYBULLET = Package("pybullet", "uv pip install pybullet (no wheel for Python 3.12: builds for minutes)")
 

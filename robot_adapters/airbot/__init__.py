@@ -1,8 +1,6 @@
-"""AIRBOT Play on a CAN bus: codecs, driver and a simulated arm.
+"""What is an AIRBOT Play on a CAN bus: its boards, OD motors, gripper, start-up and the face of its driver.
 
-Codecs: `protocol` (with `frames`, `od_motor`, `dm_motor`, `boards`, `gripper`). Driver: `arm` is its face;
-below it `bus`, `startup`, `control`, `interpolation`, `feedback`, `gravity`, `statistics` and `settings`.
-Simulation, with the extra `sim`: `simulated_arm` over `simulated_motor`, `plant`, `protection` and `faults`;
-`cell` puts arm and driver together, `identification` fits the plant to a real log. Proof: `listener`,
-`campaign` and `soak`.
+`arm` is the driver's face; below it `startup`, `protocol` (with `od_motor`, `boards`, `gripper`) and
+`settings`. The bus, the Damiao motors and the control loop are in `robot_adapters.can`; a simulated arm and
+what proves the driver in `robot_adapters.simulation`.
 """

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
-from robot_adapters.airbot import real_time
-from robot_adapters.airbot.bus import BusError, open_bus, unread
-from robot_adapters.airbot.control import ArmMode, ControlLoop
-from robot_adapters.airbot.gravity import GravityModel
 from robot_adapters.airbot.gripper import opening_from_motor_angle
 from robot_adapters.airbot.protocol import Tool
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import ArmIdentity, bring_up, identify, release
-from robot_adapters.airbot.statistics import DriverStatistics
+from robot_adapters.can import real_time
+from robot_adapters.can.bus import BusError, open_bus, unread
+from robot_adapters.can.control import ArmMode, ControlLoop
+from robot_adapters.can.gravity import GravityModel
+from robot_adapters.can.statistics import DriverStatistics
 from robot_adapters.clock import Clock, RealClock, Schedule, SimulatedClock
 from robot_adapters.safety import (
     CommandStatus,

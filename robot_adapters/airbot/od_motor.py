@@ -6,7 +6,7 @@ import enum
 
 import can
 
-from robot_adapters.airbot.frames import (
+from robot_adapters.can.mit_frames import (
     KP,
     FixedPoint,
     MitCommand,

@@ -10,10 +10,10 @@ know is None.
 from __future__ import annotations
 
 from robot_adapters.airbot.boards import BASE_BOARD_ID, END_BOARD_ID, Board, BoardRegister, Tool
-from robot_adapters.airbot.dm_motor import DM_ENABLED, DM_ERRORS, MIT_MODE, DmLifecycle, DmMotor, DmRegister
-from robot_adapters.airbot.frames import MitCommand, MotorFeedback, ParameterReply, ParameterRequest
 from robot_adapters.airbot.gripper import motor_angle_from_opening, opening_from_motor_angle
 from robot_adapters.airbot.od_motor import OD_ERRORS, OdMotor, OdRegister
+from robot_adapters.can.dm_motor import DM_ENABLED, DM_ERRORS, MIT_MODE, DmLifecycle, DmMotor, DmRegister
+from robot_adapters.can.mit_frames import MitCommand, MotorFeedback, ParameterReply, ParameterRequest
 
 __all__ = [
     "BASE_BOARD_ID",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from robot_adapters.airbot.boards import Tool
-from robot_adapters.airbot.gravity import STANDARD_GRAVITY
 from robot_adapters.airbot.gripper import GRIPPER_KD, GRIPPER_KP
+from robot_adapters.can.gravity import STANDARD_GRAVITY
 from robot_adapters.safety import SafetyLimits
 
 

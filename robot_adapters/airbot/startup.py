@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import can
 
 from robot_adapters.airbot.boards import GRAVITY_FACTOR_OFFSET, SEGMENTS
-from robot_adapters.airbot.bus import NoAnswerError, ask, drain, receive, send
 from robot_adapters.airbot.protocol import (
     BASE_BOARD_ID,
     DM_JOINTS,
@@ -30,6 +29,7 @@ from robot_adapters.airbot.protocol import (
     Tool,
 )
 from robot_adapters.airbot.settings import AirbotSettings
+from robot_adapters.can.bus import NoAnswerError, ask, drain, receive, send
 from robot_adapters.clock import Clock
 
 DOCUMENTED_RANGES = {DmRegister.POS_MAX: 12.5, DmRegister.VEL_MAX: 30.0, DmRegister.TORQUE_MAX: 10.0}

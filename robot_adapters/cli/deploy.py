@@ -180,10 +180,10 @@ def _drive(
     from tqdm import tqdm
 
     from robot_adapters.airbot.arm import AirbotArm
-    from robot_adapters.airbot.cell import SimulatedCell
     from robot_adapters.clock import RealClock, SimulatedClock
     from robot_adapters.deployment import Watcher, approach, drive
     from robot_adapters.display import RerunDisplay
+    from robot_adapters.simulation.cell import SimulatedCell
 
     fps = recording.set.fps
     watchers: list[Watcher] = []

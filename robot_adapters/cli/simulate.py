@@ -34,7 +34,7 @@ def main(argv: Sequence[str]) -> int:
         signal.signal(number, signal.default_int_handler)
     config = draccus.parse(SimulateConfig, args=list(argv), prog="mimicik simulate")
     from robot_adapters.airbot.protocol import Tool
-    from robot_adapters.airbot.simulated_arm import serve
+    from robot_adapters.simulation.simulated_arm import serve
 
     print(f"A simulated arm on {config.interface}; Ctrl-C ends it.", flush=True)
     serve(

@@ -51,7 +51,7 @@ def main(argv: Sequence[str]) -> int:
             raise ValueError(f"--{option} is missing")
     from lerobot.utils.import_utils import register_third_party_plugins
 
-    from robot_adapters.poses import PoseFormat
+    from lerobot_mimicik.kinematics.poses import PoseFormat
     from robot_adapters.wrapping import wrap_checkpoint
 
     register_third_party_plugins()

@@ -16,10 +16,10 @@ from lerobot.robots.robot import Robot
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 from numpy.typing import NDArray
 
+from lerobot_mimicik.kinematics.poses import IDENTITY, PolicyFrames, PoseFormat
 from robot_adapters.adapter import IKResult, IKStatus, MimicIKAdapter
 from robot_adapters.airbot.arm import AirbotArm, CommandResult
 from robot_adapters.airbot.gripper import MAX_OPENING
-from robot_adapters.poses import IDENTITY, PolicyFrames, PoseFormat
 from robot_adapters.robots.config_airbot_play import AirbotConnection, AirbotPlayConfig, AirbotPlayEEConfig
 from robot_adapters.safety import ArmStopped, CommandStatus
 
@@ -289,9 +289,9 @@ def open_arm(connection: AirbotConnection) -> tuple[AirbotArm, Any]:
     # Where LeRobot shuts down by itself on a signal, it also brings the arm home: leave that to it.
     handle_signals = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     if connection.interface == "virtual":
-        from robot_adapters.airbot.cell import SimulatedCell
         from robot_adapters.airbot.protocol import Tool
         from robot_adapters.clock import RealClock
+        from robot_adapters.simulation.cell import SimulatedCell
 
         cell = SimulatedCell(
             RealClock(),

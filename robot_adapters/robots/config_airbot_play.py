@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from lerobot.cameras import CameraConfig
 from lerobot.robots.config import RobotConfig
 
+from lerobot_mimicik.kinematics.poses import PoseFormat
 from robot_adapters.ik_options import IKOptions
-from robot_adapters.poses import PoseFormat
 
 
 @dataclass

@@ -51,7 +51,7 @@ def open_bus(interface: str, channel: str | None = None, **options: Any) -> can.
     _quieten()
     try:
         if interface == "slcan" and os.name == "posix":
-            from robot_adapters.airbot.serial_line import SerialLineBus
+            from robot_adapters.can.serial_line import SerialLineBus
 
             return SerialLineBus(channel, **options)
         return can.Bus(interface=interface, channel=channel, receive_own_messages=False, **options)

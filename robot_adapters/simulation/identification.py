@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter, savgol_filter
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
-from robot_adapters.airbot.gravity import GravityModel
-from robot_adapters.airbot.plant import ArmPlant, PlantParameters
+from robot_adapters.can.gravity import GravityModel
+from robot_adapters.simulation.plant import ArmPlant, PlantParameters
 
 _STRIDE = 4
 # Velocity [rad/s] at which Coulomb friction counts as fully reversed, a few velocity quanta.

@@ -20,14 +20,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from robot_adapters.airbot.boards import BASE_BOARD_ID, END_BOARD_ID, BoardRegister, Tool
-from robot_adapters.airbot.bus import bus_off_report, open_bus
-from robot_adapters.airbot.faults import Fault, FaultInjector
 from robot_adapters.airbot.gripper import opening_from_motor_angle
-from robot_adapters.airbot.plant import ArmPlant, PlantParameters
-from robot_adapters.airbot.protection import StepProtection
 from robot_adapters.airbot.protocol import DM_JOINTS, GRIPPER_ID, OD_JOINTS, DmMotor, OdMotor
-from robot_adapters.airbot.simulated_motor import GripperBody, JointBody, SimulatedBoard, SimulatedMotor
+from robot_adapters.can.bus import bus_off_report, open_bus
 from robot_adapters.clock import Clock, RealClock, Schedule, SimulatedClock
+from robot_adapters.simulation.faults import Fault, FaultInjector
+from robot_adapters.simulation.plant import ArmPlant, PlantParameters
+from robot_adapters.simulation.protection import StepProtection
+from robot_adapters.simulation.simulated_motor import GripperBody, JointBody, SimulatedBoard, SimulatedMotor
 
 _POLL_PERIOD = 0.002  # s
 _REPLY_DELAY, _REPLY_JITTER = 3e-4, 5e-5  # s, mean and standard deviation

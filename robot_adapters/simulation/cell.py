@@ -9,14 +9,14 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from robot_adapters.airbot.arm import AirbotArm
-from robot_adapters.airbot.bus import open_bus
-from robot_adapters.airbot.faults import Fault
-from robot_adapters.airbot.listener import BusListener
-from robot_adapters.airbot.plant import PlantParameters
 from robot_adapters.airbot.protocol import Tool
 from robot_adapters.airbot.settings import AirbotSettings
-from robot_adapters.airbot.simulated_arm import SimulatedArm
+from robot_adapters.can.bus import open_bus
 from robot_adapters.clock import Clock, SimulatedClock
+from robot_adapters.simulation.faults import Fault
+from robot_adapters.simulation.listener import BusListener
+from robot_adapters.simulation.plant import PlantParameters
+from robot_adapters.simulation.simulated_arm import SimulatedArm
 
 _numbers = itertools.count()
 

@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robot_adapters.airbot.arm import StartRefusedError
-from robot_adapters.airbot.bus import BusError
-from robot_adapters.airbot.cell import SimulatedCell
-from robot_adapters.airbot.control import ArmMode
-from robot_adapters.airbot.faults import Fault, FaultKind, random_fault
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import RangeError
+from robot_adapters.can.bus import BusError
+from robot_adapters.can.control import ArmMode
 from robot_adapters.safety import SafetyLimits
+from robot_adapters.simulation.cell import SimulatedCell
+from robot_adapters.simulation.faults import Fault, FaultKind, random_fault
 
 _FAULT_AT = 0.2  # s after the start of tracking
 _LONGEST = 1.2  # s of a lasting fault that are watched

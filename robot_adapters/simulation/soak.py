@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_adapters.airbot.cell import SimulatedCell
-from robot_adapters.airbot.statistics import DriverStatistics
+from robot_adapters.can.statistics import DriverStatistics
 from robot_adapters.clock import Clock
+from robot_adapters.simulation.cell import SimulatedCell
 
 _PERIOD = 0.05  # s between targets
 _STATM = Path("/proc/self/statm")

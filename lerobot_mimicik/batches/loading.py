@@ -15,7 +15,7 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from torch import Tensor
 from torch.utils.data._utils.collate import default_collate_fn_map
 
-from lerobot_mimicik.data.sampling import vectorise_samplers
+from lerobot_mimicik.batches.sampling import vectorise_samplers
 
 
 class FrameTable:

@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_mimicik.guidance.closest import closest_configuration
 from lerobot_mimicik.kinematics.point_chain import PointChain
-from robot_adapters.poses import pose_distance
-from robot_adapters.reachability import closest_configuration
+from lerobot_mimicik.kinematics.poses import pose_distance
 
 Array = NDArray[np.float64]
 _INWARDS = (0.4, 0.8)  # rad from the limit: where to begin the search

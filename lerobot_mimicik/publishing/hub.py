@@ -21,7 +21,7 @@ from huggingface_hub.errors import HFValidationError, RepositoryNotFoundError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from lerobot_mimicik.model_card import TrainingFacts, model_card
+from lerobot_mimicik.publishing.model_card import TrainingFacts, model_card
 
 if TYPE_CHECKING:
     from lerobot.configs.train import TrainPipelineConfig

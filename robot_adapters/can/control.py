@@ -21,14 +21,14 @@ import can
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_adapters.airbot.bus import BusError, reports_bus_off, send
-from robot_adapters.airbot.feedback import FeedbackTable
-from robot_adapters.airbot.gravity import GravityModel
 from robot_adapters.airbot.gripper import MAX_OPENING, motor_angle_from_opening
-from robot_adapters.airbot.interpolation import Interpolator
 from robot_adapters.airbot.protocol import Motor, MotorFeedback
 from robot_adapters.airbot.settings import AirbotSettings
-from robot_adapters.airbot.statistics import Recorder
+from robot_adapters.can.bus import BusError, reports_bus_off, send
+from robot_adapters.can.feedback import FeedbackTable
+from robot_adapters.can.gravity import GravityModel
+from robot_adapters.can.interpolation import Interpolator
+from robot_adapters.can.statistics import Recorder
 from robot_adapters.clock import Clock
 from robot_adapters.safety import (
     ArmStopped,

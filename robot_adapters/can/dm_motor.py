@@ -7,7 +7,7 @@ import struct
 
 import can
 
-from robot_adapters.airbot.frames import (
+from robot_adapters.can.mit_frames import (
     KP,
     FixedPoint,
     MitCommand,

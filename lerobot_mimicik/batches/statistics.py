@@ -6,9 +6,9 @@ import torch
 from lerobot.utils.constants import ACTION
 from torch import Tensor
 
+from lerobot_mimicik.batches.frames import FrameReader, IKFrames
+from lerobot_mimicik.batches.loading import FrameTable
 from lerobot_mimicik.configuration_learned import LearnedIKConfig
-from lerobot_mimicik.data.frames import FrameReader, IKFrames
-from lerobot_mimicik.data.loading import FrameTable
 from lerobot_mimicik.kinematics.chain import SerialArm
 
 

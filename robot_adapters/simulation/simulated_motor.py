@@ -9,9 +9,7 @@ from typing import Protocol
 import can
 import numpy as np
 
-from robot_adapters.airbot.faults import FaultInjector, FaultKind
 from robot_adapters.airbot.gripper import MAX_OPENING, motor_angle_from_opening
-from robot_adapters.airbot.plant import ArmPlant
 from robot_adapters.airbot.protocol import (
     MIT_MODE,
     Board,
@@ -23,6 +21,8 @@ from robot_adapters.airbot.protocol import (
     OdMotor,
     OdRegister,
 )
+from robot_adapters.simulation.faults import FaultInjector, FaultKind
+from robot_adapters.simulation.plant import ArmPlant
 
 POSITION_NOISE, VELOCITY_NOISE, TORQUE_NOISE = 1e-4, 5e-3, 5e-3  # standard deviations [rad, rad/s, Nm]
 AMBIENT = 30.0  # degrees C

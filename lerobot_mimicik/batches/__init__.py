@@ -1,0 +1,1 @@
+"""A LeRobot dataset made into tensors for training."""

@@ -1,0 +1,1 @@
+"""Answering with a trained policy, one query at a time."""

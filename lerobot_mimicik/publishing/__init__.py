@@ -1,0 +1,1 @@
+"""Publishing a checkpoint: the Hub and the model card."""
