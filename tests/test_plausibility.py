@@ -92,7 +92,8 @@ def test_wrong_shapes_are_errors():
 
 
 def test_an_orientation_that_does_not_turn_is_judged_by_fk_alone():
-    arm, q = ARMS[0], np.tile(ARMS[0].home, (5, 1)) + [[0.0, 0.3, 0.1, 0.4, 0.2, 0.7]]
+    arm = ARMS[0]
+    q = np.tile(np.add(arm.home, [0.0, 0.3, 0.1, 0.4, 0.2, 0.7]), (5, 1))
     poses = array_chain(arm).pose(q)
     assert why_not_order(arm, q, poses) is None
     assert "w x y z" in why_not_order(arm, q[0], poses[0, WXYZ])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import pytest
 
@@ -137,3 +138,38 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(UrdfError, match=r"nowhere\.urdf"):
         read_urdf(tmp_path / "nowhere.urdf")
+
+
+def chain_of(count, kind="fixed"):
+    joints = [joint(f"j{i}", f"l{i}", f"l{i + 1}", kind, LIMIT) for i in range(count - 1)]
+    return robot(*joints, links=" ".join(f"l{i}" for i in range(count)))
+
+
+def lines_run(count):
+    """Lines of the reader that a chain of so many links takes, loops inside expressions not counted."""
+    text, lines = chain_of(count), 0
+
+    def trace(frame, event, arg):
+        nonlocal lines
+        lines += event == "line"
+        return trace if frame.f_code.co_filename.endswith("urdf.py") else None
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        read_urdf(text)
+    finally:
+        sys.settrace(before)
+    return lines
+
+
+def test_reading_takes_time_in_proportion_to_the_links():
+    assert lines_run(400) < 2.2 * lines_run(200)
+
+
+def test_a_chain_of_ten_thousand_joints_is_refused_in_few_words():
+    with pytest.raises(UrdfError, match="more than 256 joints lie between 'l0' and 'l9999'"):
+        read_urdf(chain_of(10_000, "revolute")).serial_chain()
+    with pytest.raises(UrdfError, match=r"its links: l0, .*, and 9980 more") as error:
+        read_urdf(chain_of(10_000)).serial_chain(tip_link="nowhere")
+    assert len(str(error.value)) < 300

@@ -14,6 +14,8 @@ from pathlib import Path
 
 MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
 KNOWN_TYPES = (*MOVABLE_TYPES, "fixed", "floating", "planar")
+LONGEST_CHAIN = 256
+"""Joints from base to tip, fixed ones included: arms have a dozen or two; a longer chain is a mistake or an attack."""
 _BEFORE_XML = "\ufeff \t\r\n"
 
 
@@ -94,27 +96,30 @@ class Urdf:
         if not any(joint.movable for joint in path):
             raise UrdfError(
                 f"no movable joint between {base!r} and {tip!r} in URDF {self.name!r}; "
-                f"movable joints: {listed(j.name for j in self.joints if j.movable)}"
+                f"movable joints: {shortened(j.name for j in self.joints if j.movable)}"
             )
         return path
 
     def _checked(self, link: str, role: str) -> str:
         if link not in self.links:
-            raise UrdfError(f"{role} {link!r} is not in URDF {self.name!r}; its links: {listed(self.links)}")
+            raise UrdfError(
+                f"{role} {link!r} is not in URDF {self.name!r}; its links: {shortened(self.links)}"
+            )
         return link
 
     def _only_leaf_below(self, base: str) -> str:
-        parent_of = {joint.child: joint.parent for joint in self.joints}
-        found = []
-        for leaf in self.leaves:
-            link: str | None = leaf
-            while link is not None and link != base:
-                link = parent_of.get(link)
-            if link == base:
-                found.append(leaf)
+        children: dict[str, list[str]] = {}
+        for joint in self.joints:
+            children.setdefault(joint.parent, []).append(joint.child)
+        below, waiting = set(), [base]
+        while waiting:
+            link = waiting.pop()
+            below.add(link)
+            waiting.extend(children.get(link, []))
+        found = [leaf for leaf in self.leaves if leaf in below]
         if len(found) != 1:
             raise UrdfError(
-                f"URDF {self.name!r} has {len(found)} leaf links below {base!r} ({listed(found)}): "
+                f"URDF {self.name!r} has {len(found)} leaf links below {base!r} ({shortened(found)}): "
                 "name the tip link"
             )
         return found[0]
@@ -128,10 +133,15 @@ class Urdf:
                 above = [tip, *(joint.parent for joint in path)]
                 raise UrdfError(
                     f"tip link {tip!r} is not below base link {base!r} in URDF {self.name!r}; "
-                    f"links from the tip to the root: {listed(above)}"
+                    f"links from the tip to the root: {shortened(above)}"
                 )
             path.append(by_child[link])
             link = by_child[link].parent
+            if len(path) > LONGEST_CHAIN:
+                raise UrdfError(
+                    f"more than {LONGEST_CHAIN} joints lie between {base!r} and {tip!r} in URDF {self.name!r}; "
+                    "name a base link and a tip link with a single arm between them"
+                )
         return tuple(reversed(path))
 
 
@@ -159,6 +169,13 @@ def read_urdf(source: str | Path) -> Urdf:
 def listed(names: Iterable[str]) -> str:
     """Names for an error message: comma-separated, `(none)` when there are none."""
     return ", ".join(names) or "(none)"
+
+
+def shortened(names: Iterable[str], count: int = 20) -> str:
+    """`listed`, with the number of those left out after the first `count`."""
+    all_names = list(names)
+    rest = len(all_names) - count
+    return listed(all_names[:count]) + (f", and {rest} more" if rest > 0 else "")
 
 
 def is_urdf_text(source: str | Path) -> bool:
@@ -284,21 +301,24 @@ def _check_tree(urdf: Urdf) -> None:
             if link not in known:
                 raise UrdfError(
                     f"joint {joint.name!r} has the {role} link {link!r}, which URDF {urdf.name!r} does "
-                    f"not define; its links: {listed(urdf.links)}"
+                    f"not define; its links: {shortened(urdf.links)}"
                 )
         if joint.child in parent_of:
             raise UrdfError(f"link {joint.child!r} is the child of several joints of URDF {urdf.name!r}")
         parent_of[joint.child] = joint.parent
     roots = [link for link in urdf.links if link not in parent_of]
     if len(roots) != 1:
-        raise UrdfError(f"URDF {urdf.name!r} has {len(roots)} root links ({listed(roots)}), expected one")
-    for link in urdf.links:
-        seen = {link}
-        while link in parent_of:
-            link = parent_of[link]
-            if link in seen:
+        raise UrdfError(f"URDF {urdf.name!r} has {len(roots)} root links ({shortened(roots)}), expected one")
+    rooted = set(roots)
+    for start in urdf.links:
+        path: set[str] = set()
+        link = start
+        while link not in rooted:
+            if link in path:
                 raise UrdfError(f"the joints of URDF {urdf.name!r} form a loop through link {link!r}")
-            seen.add(link)
+            path.add(link)
+            link = parent_of[link]
+        rooted.update(path)
 
 
 def _check_unique(names: Iterable[str], kind: str, robot: str) -> None:
