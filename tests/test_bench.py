@@ -7,8 +7,8 @@ import pytest
 from evaluation_cases import Scripted
 from teleop import write_teleop
 
-from lerobot_mimicik.cli import training_process
 from lerobot_mimicik.cli.main import main
+from lerobot_mimicik.evaluation import training_process
 from lerobot_mimicik.evaluation.bench import LearnedRow, over_seeds
 from lerobot_mimicik.evaluation.bench_plots import plot_errors, plot_fk_weights
 from lerobot_mimicik.evaluation.report import markdown_table

@@ -4,8 +4,9 @@ import json
 
 import pytest
 
-from lerobot_mimicik.cli import demo, training_process
+from lerobot_mimicik.cli import demo
 from lerobot_mimicik.cli.main import main
+from lerobot_mimicik.evaluation import training_process
 
 SCALE = ["--episodes=2", "--ood_seconds=4", "--steps=6", "--workers=1", "--device=cpu"]
 

@@ -22,8 +22,8 @@ from pathlib import Path
 
 import draccus
 
-from lerobot_mimicik.cli import training_process
 from lerobot_mimicik.cli.options import bare_switches
+from lerobot_mimicik.evaluation import training_process
 
 HELP = "Go the whole way: make a dataset, train a policy on it, measure it, write a report with figures."
 

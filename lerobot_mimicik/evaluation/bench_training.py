@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lerobot_mimicik.cli import training_process
-from lerobot_mimicik.cli.options import numbers
+from lerobot_mimicik.evaluation import training_process
 from lerobot_mimicik.evaluation.bench import LearnedRow, Summary
 from lerobot_mimicik.evaluation.report import machine
 from lerobot_mimicik.kinematics.arms import ArmDescription
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.cli.bench import BenchConfig
+    from lerobot_mimicik.evaluation.bench_run import BenchOptions
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class Training:
 
 
 def prepare_trainings(
-    config: BenchConfig, description: ArmDescription, rows: Sequence[LearnedRow]
+    options: BenchOptions, description: ArmDescription, rows: Sequence[LearnedRow]
 ) -> dict[tuple[str, int], Training]:
     """Every training that the benchmark needs, by row and seed.
 
@@ -47,16 +46,16 @@ def prepare_trainings(
         ValueError: If a row was trained with other options before.
         FileNotFoundError: If there is no such recipe.
     """
-    out = Path(config.out)
+    out = options.out
     prepared = {}
     for row in rows:
-        name = row.recipe(config.size)
-        path = training_process.find_recipe(str(Path(config.recipes) / name) if config.recipes else name)
+        name = row.recipe(options.size)
+        path = training_process.find_recipe(str(Path(options.recipes) / name) if options.recipes else name)
         recipe = json.loads(path.read_text())
-        for seed in range(config.seeds):
+        for seed in range(options.seeds):
             training = Training(
                 f"{row.name}-seed{seed}",
-                config.steps or int(recipe["steps"]),
+                options.steps or int(recipe["steps"]),
                 int(recipe.get("log_freq", 200)),
                 out / "train" / f"{row.name}-seed{seed}" / "run",
                 [],
@@ -64,14 +63,14 @@ def prepare_trainings(
             training.arguments.extend(
                 [
                     f"--config_path={path}",
-                    *_data_options(config),
+                    *_data_options(options),
                     f"--output_dir={training.run}",
                     f"--steps={training.steps}",
                     f"--seed={seed}",
                     *_arm_options(out / "arm.urdf", description),
                     *row.options(),
-                    *([f"--policy.conditioning={config.conditioning}"] if config.conditioning else []),
-                    *([f"--policy.device={config.device}"] if config.device else []),
+                    *([f"--policy.conditioning={options.conditioning}"] if options.conditioning else []),
+                    *([f"--policy.device={options.device}"] if options.device else []),
                 ]
             )
             # Where the recipe lies does not matter, what it says does.
@@ -80,7 +79,7 @@ def prepare_trainings(
     return prepared
 
 
-def train_row(training: Training, summary: Summary) -> None:
+def train_row(training: Training, summary: Summary, say: Callable[[str], None] = print) -> None:
     """Train to the end, and note in the summary the time that it took, over all interruptions.
 
     Raises:
@@ -88,12 +87,17 @@ def train_row(training: Training, summary: Summary) -> None:
     """
     if training_process.last_step(training.run) >= training.steps:
         return
-    print(f"Training {training.name}: {training.steps} steps", flush=True)
+    say(f"Training {training.name}: {training.steps} steps")
     before = summary.training.get(training.name, {}).get("minutes", 0.0)
     begin = time.monotonic()
     try:
         training_process.train_or_resume(
-            training.arguments, training.run, training.steps, training.log_freq, training.run.parent / "logs"
+            training.arguments,
+            training.run,
+            training.steps,
+            training.log_freq,
+            training.run.parent / "logs",
+            say,
         )
     finally:
         summary.training[training.name] = {
@@ -105,15 +109,14 @@ def train_row(training: Training, summary: Summary) -> None:
         summary.save()
 
 
-def _data_options(config: BenchConfig) -> list[str]:
+def _data_options(options: BenchOptions) -> list[str]:
     """The dataset, and what differs from the recipes' defaults about it."""
-    episodes = numbers(config.train_episodes, "--train_episodes")
     return [
-        f"--dataset.repo_id=local/{Path(config.train).resolve().name}",
-        f"--dataset.root={config.train}",
-        *([f"--dataset.episodes={episodes}"] if episodes else []),
-        *([f"--policy.joint_units={config.joint_units}"] if config.joint_units != "rad" else []),
-        *([f"--policy.target={config.target}"] if config.target != "action" else []),
+        f"--dataset.repo_id=local/{options.train.resolve().name}",
+        f"--dataset.root={options.train}",
+        *([f"--dataset.episodes={list(options.train_episodes)}"] if options.train_episodes else []),
+        *([f"--policy.joint_units={options.joint_units}"] if options.joint_units != "rad" else []),
+        *([f"--policy.target={options.target}"] if options.target != "action" else []),
     ]
 
 
@@ -143,5 +146,5 @@ def _keep_arguments(training: Training, asked: dict) -> None:
 
 
 def _device_of(run_folder: Path) -> str | None:
-    file = run_folder / "checkpoints" / "last" / "pretrained_model" / "config.json"
+    file = run_folder / "checkpoints" / "last" / "pretrained_model" / "options.json"
     return json.loads(file.read_text())["device"] if file.is_file() else None

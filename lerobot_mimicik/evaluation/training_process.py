@@ -8,7 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tqdm import tqdm
@@ -95,13 +95,21 @@ def train(arguments: Sequence[str], steps: int, log_freq: int, logs: Path, start
         )
 
 
-def train_or_resume(fresh: Sequence[str], run: Path, steps: int, log_freq: int, logs: Path) -> int:
+def train_or_resume(
+    fresh: Sequence[str],
+    run: Path,
+    steps: int,
+    log_freq: int,
+    logs: Path,
+    say: Callable[[str], None] = print,
+) -> int:
     """Run `lerobot-train` up to ``steps``, from the last checkpoint if there is one.
 
     Args:
         fresh: Its command line for a new run.
         run: Its output folder, named in ``fresh`` too.
         steps, log_freq, logs: As for `train`.
+        say: Takes the command line that is run.
 
     Returns:
         Steps that were done before.
@@ -111,22 +119,22 @@ def train_or_resume(fresh: Sequence[str], run: Path, steps: int, log_freq: int, 
     """
     done = last_step(run)
     if done >= steps:
-        print(f"The training's {done} steps are done.")
+        say(f"The training's {done} steps are done.")
     elif done:
         checkpoint = run / "checkpoints" / "last" / "pretrained_model" / "train_config.json"
         resumed = [f"--config_path={checkpoint}", "--resume=true", f"--steps={steps}"]
-        print(shown(resumed), flush=True)
+        say(shown(resumed))
         train(resumed, steps, log_freq, logs, start=done)
     else:
         # Without a checkpoint there is nothing to go on with, and LeRobot wants the folder to be new.
         shutil.rmtree(run, ignore_errors=True)
-        print(shown(fresh), flush=True)
+        say(shown(fresh))
         train(fresh, steps, log_freq, logs)
     return done
 
 
 def read_curves(logs: Path, log_freq: int):
-    """Training curves of a run and its resumptions, by name; see `evaluation.training_log`."""
+    """Training curves of a run and its resumptions, by name; see `training_log`."""
     found = []
     for path in sorted(logs.glob("train-*.log")):
         start = int(path.stem.removeprefix("train-"))

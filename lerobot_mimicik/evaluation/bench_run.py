@@ -1,0 +1,317 @@
+"""The benchmark: trains every learned row that is not trained yet, measures all rows, writes table and figures.
+
+Everything is kept in the output folder, and another run goes on where the last one stopped::
+
+    train/<row>-seed<n>/   run/ is what `lerobot-train` writes, logs/ what it prints
+    summary.json           every row measured so far, saved after each, and what each training cost
+    anatomy/<row>.npz      its commands through singularities and out of reach
+    table.json, table.md   the rows asked for, learned ones over their seeds
+    figures/               the same as PNG, a caption beside each
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from lerobot_mimicik.configuration_mimicik import MimicIKConfig
+from lerobot_mimicik.data.writer import ARM_FILE, read_arm_json
+from lerobot_mimicik.evaluation.anatomy import Ordeal, load_commands, make_ordeals, save_commands, undergo
+from lerobot_mimicik.evaluation.bench import LearnedRow, Summary, learned_names, write_table
+from lerobot_mimicik.evaluation.bench_plots import plot_anatomy, plot_errors, plot_fk_weights, plot_seeds
+from lerobot_mimicik.evaluation.bench_training import prepare_trainings, train_row
+from lerobot_mimicik.evaluation.evaluate import Recording, evaluate_one, study
+from lerobot_mimicik.evaluation.latency import measure_latency
+from lerobot_mimicik.evaluation.metrics import measure
+from lerobot_mimicik.evaluation.plots import Plot
+from lerobot_mimicik.evaluation.report import describe_recording
+from lerobot_mimicik.evaluation.rollouts import known_modes
+from lerobot_mimicik.evaluation.trajectories import (
+    Layout,
+    distinct_names,
+    first_seconds,
+    load_trajectories,
+)
+from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
+from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.solvers import known_solvers, make_solver, solver_configuration
+
+
+@dataclass(frozen=True)
+class BenchOptions:
+    """What a benchmark is asked to do.
+
+    Attributes:
+        datasets: Folders of the LeRobot datasets to measure on.
+        train: Folder of the LeRobot dataset to train on; it names the arm.
+        arm: A shipped arm or the path of a URDF, where the datasets do not name it.
+        joint_units, target: As in `Layout`.
+        train_episodes, episodes: Episodes to train and to measure on; empty: all of them.
+        solvers: Rows, solvers by name and learned rows.
+        modes: From `known_modes()`.
+        seconds: Only the beginning of each episode, s; 0: all of it.
+        plant_seconds: Only so much of each dataset in the modes plant, s; 0: all of it.
+        seeds: Trainings of each learned row.
+        steps: Training steps; 0: as the recipes say.
+        size: Which recipes, "small" or "paper".
+        recipes: Folder of the recipes; empty: the project's.
+        conditioning: Of all learned rows; empty: as the recipes say.
+        out: Folder for everything that is made.
+        device: Where to train and evaluate; empty: what LeRobot finds.
+        latency_queries: Number of single queries timed for the latency.
+    """
+
+    datasets: tuple[Path, ...]
+    train: Path
+    arm: str = ""
+    joint_units: str = "rad"
+    target: str = "action"
+    train_episodes: tuple[int, ...] = ()
+    episodes: tuple[int, ...] = ()
+    solvers: tuple[str, ...] = ("mimicik", "mimicik_nofk", "mlp", "unet_diffusion", "hold")
+    modes: tuple[str, ...] = ("open_loop", "closed_loop")
+    seconds: float = 0.0
+    plant_seconds: float = 0.0
+    seeds: int = 1
+    steps: int = 0
+    size: str = "small"
+    recipes: str = ""
+    conditioning: str = ""
+    out: Path = Path("outputs/bench")
+    device: str = ""
+    latency_queries: int = 200
+
+
+@dataclass(frozen=True)
+class Occasion:
+    """What each solver is measured on.
+
+    Attributes:
+        recording: A dataset, or the part of it that is used.
+        mode: How it is driven along it.
+        place: The dataset's folder and which part of it, as the summary knows it.
+    """
+
+    recording: Recording
+    mode: str
+    place: str
+
+
+def run_bench(
+    options: BenchOptions,
+    settings: Mapping[str, Any],
+    progress: bool = True,
+    say: Callable[[str], None] = print,
+) -> bool:
+    """Train, measure and write; returns whether a training failed.
+
+    Args:
+        options: What to do.
+        settings: The same as the user gave it, for the table.
+        progress: Whether to show bars.
+        say: Takes lines on what goes on.
+
+    Raises:
+        ValueError: If an option does not fit, or a row was trained with other options before.
+        FileNotFoundError: If a dataset or recipe does not exist.
+    """
+    rows = _checked(options)
+    description = _arm(options)
+    trainings = prepare_trainings(options, description, [row for row in rows.values() if row is not None])
+    arm = SerialArm(description, dtype=torch.float64)
+    ordeals = make_ordeals(description) if description.home else []
+    occasions = _occasions(options, arm)
+    bench = _Bench(options, settings, arm, list(rows), occasions, ordeals, progress, say)
+    failed = False
+    for name, row in rows.items():
+        for seed in range(options.seeds if row is not None else 1):
+            policy: str | None = None
+            if row is not None:
+                training = trainings[name, seed]
+                try:
+                    train_row(training, bench.summary, say)
+                except RuntimeError as error:
+                    # The other rows are still worth having; the exit status tells.
+                    failed = True
+                    bench.summary.unavailable[name] = f"training failed: {str(error).splitlines()[0]}"
+                    say(f"{name}, seed {seed}: {error}")
+                    break
+                policy = str(training.run)
+            if not bench.measure(name, seed, policy):
+                break
+            bench.write()
+    bench.write()
+    bench.write_anatomy()
+    return failed
+
+
+def _checked(options: BenchOptions) -> dict[str, LearnedRow | None]:
+    """The rows by name, None for solvers that are not trained here, once every option is known to fit."""
+    if options.seeds < 1:
+        raise ValueError(f"--seeds={options.seeds}: expected at least 1.")
+    for mode in options.modes:
+        if mode not in known_modes():
+            raise ValueError(f"--modes: unknown {mode}; known are {', '.join(known_modes())}.")
+    rows = {name: LearnedRow.of(name) for name in options.solvers}
+    others = [name for name in known_solvers() if LearnedRow.of(name) is None]
+    for name, row in rows.items():
+        if row is None and name not in others:
+            raise ValueError(
+                f"--solvers: unknown {name}; known are {learned_names()}, and {', '.join(others)}."
+            )
+    return rows
+
+
+def _arm(options: BenchOptions) -> ArmDescription:
+    """The arm that was named, else that of the training data."""
+    if options.arm:
+        return describe_arm(options.arm)
+    if not (options.train / ARM_FILE).is_file():
+        raise ValueError(f"{options.train} does not name its arm ({ARM_FILE}): which is it? --urdf=...")
+    return read_arm_json(options.train)
+
+
+def _occasions(options: BenchOptions, arm: SerialArm) -> list[Occasion]:
+    """Every dataset in every mode."""
+    layout = Layout(joint_units=options.joint_units, target=options.target)
+    occasions: list[Occasion] = []
+    for root, name in zip(options.datasets, distinct_names(options.datasets), strict=True):
+        whole = load_trajectories(root, arm, layout, options.episodes or None, name)
+        kept = study(arm, first_seconds(whole, of_each=options.seconds or math.inf))
+        for mode in options.modes:
+            if mode.startswith("plant") and options.plant_seconds:
+                part = study(arm, first_seconds(kept.set, in_all=options.plant_seconds))
+                occasions.append(Occasion(part, mode, _place(options, root, options.plant_seconds)))
+            else:
+                occasions.append(Occasion(kept, mode, _place(options, root)))
+    return occasions
+
+
+def _place(options: BenchOptions, root: Path, in_all: float = 0.0) -> str:
+    """What was measured on, as the summary knows it."""
+    return "".join(
+        [
+            str(root),
+            f", episodes {','.join(map(str, options.episodes))}" if options.episodes else "",
+            f", first {options.seconds:g} s of each" if options.seconds else "",
+            f", first {in_all:g} s in all" if in_all else "",
+        ]
+    )
+
+
+class _Bench:
+    """One benchmark under way: measures row after row and writes what there is."""
+
+    def __init__(
+        self,
+        options: BenchOptions,
+        settings: Mapping[str, Any],
+        arm: SerialArm,
+        names: Sequence[str],
+        occasions: Sequence[Occasion],
+        ordeals: Sequence[Ordeal],
+        progress: bool,
+        say: Callable[[str], None],
+    ) -> None:
+        self._options, self._settings = options, settings
+        self._arm, self._names = arm, names
+        self._occasions, self._ordeals = occasions, ordeals
+        self._progress, self._say = progress, say
+        self.summary = Summary(options.out / "summary.json")
+
+    def measure(self, name: str, seed: int, policy: str | None) -> bool:
+        """Measure one solver wherever it was not measured before; False if it cannot be had."""
+        missing = [
+            each for each in self._occasions if self.summary.find(name, seed, each.place, each.mode) is None
+        ]
+        commands = self._commands_file(name)
+        undergoes = bool(self._ordeals) and seed == 0 and not commands.is_file()
+        if not missing and not undergoes:
+            return True
+        chosen: dict[str, Any] = {}
+        if policy is not None:
+            chosen = {"policy": policy, "device": self._options.device or None}
+        try:
+            solver = make_solver("mimicik" if policy is not None else name, self._arm, **chosen)
+        except (RuntimeError, ImportError) as error:
+            self.summary.unavailable[name] = str(error)
+            self._say(f"{name} is unavailable: {error}")
+            return False
+        if missing:
+            first = missing[0].recording.set.trajectories[0]
+            latency = measure_latency(solver, first, self._options.latency_queries)
+        for each in missing:
+            evaluation = evaluate_one(
+                self._arm, name, solver, each.recording, each.mode, latency, seed, self._progress
+            )
+            self.summary.add(evaluation, seed, each.place)
+        if undergoes:
+            save_commands(commands, undergo(solver, self._ordeals))
+        return True
+
+    def write(self) -> None:
+        """The table and figures of what was asked for, as far as it is measured."""
+        asked = [
+            (self.summary.find(name, seed, each.place, each.mode), each.recording.set.name)
+            for each in self._occasions
+            for name in self._names
+            for seed in range(self._options.seeds)
+        ]
+        # A dataset's name is told from the others asked for now, which may be others than before.
+        rows = [row | {"dataset": dataset} for row, dataset in asked if row is not None]
+        about = [describe_recording(each.recording) | {"mode": each.mode} for each in self._occasions]
+        notes = [
+            f"{data['name']}, {data['mode'].replace('_', ' ')}: {data['episodes']} episodes, {data['frames']} "
+            f"frames at {data['fps']:g} fps."
+            + (
+                " Its joint labels are synthetic (generated or retargeted)."
+                if data["synthetic_labels"]
+                else ""
+            )
+            for data in about
+        ]
+        self.summary.save()
+        learned = {name: LearnedRow.of(name) for name in self._names}
+        configurations = {
+            name: solver_configuration(name) if row is None else row.configuration(self._options.size)
+            for name, row in learned.items()
+        }
+        write_table(
+            self._options.out,
+            rows,
+            self.summary.training,
+            self.summary.unavailable,
+            dict(self._settings) | {"datasets": about},
+            notes,
+            configurations,
+        )
+        if rows:
+            self._save_plots(
+                [*plot_errors(rows), plot_fk_weights(rows, MimicIKConfig.fk_weight), plot_seeds(rows)]
+            )
+
+    def write_anatomy(self) -> None:
+        """The figure of the standard motions, learned rows with their first seed."""
+        files = {name: self._commands_file(name) for name in self._names}
+        traces = {
+            name: measure(self._arm, list(load_commands(file, self._ordeals).values()))
+            for name, file in files.items()
+            if self._ordeals and file.is_file()
+        }
+        if traces:
+            self._save_plots([plot_anatomy(self._ordeals, traces, self._arm.joint_names)])
+
+    def _commands_file(self, name: str) -> Path:
+        return self._options.out / "anatomy" / f"{name}.npz"
+
+    def _save_plots(self, plots: Sequence[Plot | None]) -> None:
+        """Figures that can be drawn, as PNG with the caption beside it."""
+        for plot in plots:
+            if plot is not None:
+                caption = plot.save(self._options.out / "figures").with_suffix(".txt")
+                caption.write_text(f"{plot.title}\n\n{plot.caption}\n")
