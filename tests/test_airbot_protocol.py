@@ -216,17 +216,6 @@ def test_dm_parameters_round_trip():
         motor.write(DmRegister.FIRMWARE, 1)
 
 
-def test_other_dm_commands_have_the_documented_bytes():
-    motor = DmMotor(4)
-    assert motor.encode_position_velocity(1.0, 2.0).arbitration_id == 0x104
-    assert bytes(motor.encode_velocity(1.0).data) == bytes.fromhex("0000803f")
-    message = motor.encode_position_velocity_current(1.0, 3.0, 200.0)
-    assert message.arbitration_id == 0x304
-    assert bytes(message.data) == bytes.fromhex("0000803f") + (300).to_bytes(2, "little") + (10000).to_bytes(
-        2, "little"
-    )
-
-
 def test_od_registers_round_trip():
     motor = OdMotor(1)
     assert bytes(motor.request(OdRegister.POSITION).data) == bytes([0xE0, 0x01])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
+import threading
 
 import can
 import numpy as np
@@ -95,6 +97,17 @@ def test_a_lost_motor_stops_the_arm(cell):
     assert cell.arm.mode is ArmMode.STOPPED
 
 
+def test_a_gripper_motor_that_falls_silent_is_an_event_and_has_no_opening(cell):
+    track(cell, 0.3)
+    inject(cell, FaultKind.SILENT_MOTOR, 7)
+    results = track(cell, 0.3)
+    assert "FeedbackTimeout" in {name for result in results for name in names(result.events)}
+    assert cell.arm.mode is ArmMode.HOLD
+    assert math.isnan(cell.arm.read().gripper)
+    cell.clock.sleep(1.0)
+    assert cell.arm.mode is ArmMode.STOPPED
+
+
 @pytest.mark.parametrize(
     ("kind", "motor", "magnitude", "event"),
     [
@@ -145,6 +158,18 @@ def test_a_failing_bus_stops_the_loop_in_real_time():
                 break
         assert cell.arm.mode is ArmMode.STOPPED
         cell.arm.close()
+
+
+def test_a_control_thread_that_is_made_to_exit_leaves_the_motors_released():
+    with SimulatedCell(RealClock(), settings=QUICK) as cell:
+        cell.arm.connect()
+        (thread,) = (each for each in threading.enumerate() if each.name == "airbot-control")
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(SystemExit))
+        thread.join(timeout=30.0)
+        assert cell.arm.mode is ArmMode.STOPPED
+        assert "ControllerFailure" in names(cell.arm.events())
+        cell.clock.sleep(0.1)
+        assert not any(cell.simulation.motors[i].enabled for i in (4, 5, 6, 7))
 
 
 def test_an_arm_that_is_let_down_refuses_targets(cell):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import logging
+import math
 import threading
 from dataclasses import dataclass
 from typing import Any
@@ -53,8 +54,8 @@ class ArmState:
     """The arm as last measured.
 
     q, dq, torque: joint angles [rad], velocities [rad/s] and motor torques [Nm], each (6,). gripper: opening
-    [m], None without a G2. temperatures: hottest part of each motor in degrees C, by motor id. stamp: time of
-    the oldest of the joints' readings [s, the arm's clock].
+    [m], NaN while its motor is silent, None without a G2. temperatures: hottest part of each motor in degrees
+    C, by motor id. stamp: time of the oldest of the motors' readings [s, the arm's clock].
     """
 
     q: NDArray[np.float64]
@@ -160,7 +161,9 @@ class AirbotArm:
             age, _ = loop.table.oldest(0.0)
             gripper = None
             if self.identity is not None and self.identity.tool is Tool.G2:
-                gripper = opening_from_motor_angle(loop.table.records[loop.motors[-1].id].position)
+                record = records[loop.motors[-1].id]
+                silent = self.clock.monotonic() - record.stamp > self.settings.limits.feedback_timeout
+                gripper = math.nan if silent else opening_from_motor_angle(record.position)
             hottest = {i: max(r.motor_temperature, r.mosfet_temperature) for i, r in records.items()}
             return ArmState(q, dq, torque, gripper, hottest, -age, loop.mode)
 
@@ -288,7 +291,7 @@ class AirbotArm:
                     loop.recorder.overruns += 1
                     due += late
                 self.clock.sleep(-late)
-        except Exception as error:
+        except BaseException as error:  # SystemExit too would leave the motors with their last frame
             _log.exception("the control loop of the arm failed")
             loop.stop(ControllerFailure(f"{type(error).__name__}: {error}"))
         self._let_down(loop)
@@ -305,7 +308,7 @@ class AirbotArm:
                 loop.relax(max(1.0 - fading, 0.0), min(2.0 - fading, 1.0), damping)
                 loop.tick()
                 self.clock.sleep(period)
-        except Exception:
+        except BaseException:
             _log.exception("the arm could not be let down softly")
         if self.identity is not None:
             self._release(loop.bus, self.identity)

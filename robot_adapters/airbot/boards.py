@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import struct
 
 import can
 
@@ -107,8 +106,3 @@ class Board:
             frame(0x100 | self.id, bytes([register, number]) + piece)
             for number, piece in enumerate(pieces, start=1)
         ]
-
-
-def join_floats(segments: list[bytes]) -> list[float]:
-    """The little-endian floats of segments in order; a segment of fewer than four bytes reads as NaN."""
-    return [struct.unpack("<f", piece)[0] if len(piece) == 4 else float("nan") for piece in segments]

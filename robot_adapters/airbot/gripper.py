@@ -7,7 +7,7 @@ import math
 _CRANK, _ROD, _OFFSET = 0.022, 0.036, 0.01722  # m
 _CLOSED_ANGLE = 2.3190538837099055  # rad, crank angle at motor angle 0
 MAX_OPENING = 0.07  # m, as far as public logs open it
-GRIPPER_KP, GRIPPER_KD = 30.0, 1.5
+GRIPPER_KP, GRIPPER_KD = 30.0, 1.5  # Nm/rad, Nm s/rad: the vendor's joint-following mode
 
 
 def opening_from_motor_angle(angle: float) -> float:
@@ -31,3 +31,8 @@ def motor_angle_from_opening(opening: float) -> float:
     slider = min(max(opening, 0.0) / 2.0 + _OFFSET, _CRANK + _ROD)
     cosine = (slider**2 + _CRANK**2 - _ROD**2) / (2.0 * slider * _CRANK)
     return math.acos(min(max(cosine, -1.0), 1.0)) - _CLOSED_ANGLE
+
+
+def motor_speed_from_opening_speed(speed: float) -> float:
+    """Motor speed [rad/s] at which the gripper opens all the way at `speed` [m/s] on average."""
+    return speed * abs(motor_angle_from_opening(MAX_OPENING)) / MAX_OPENING

@@ -21,7 +21,11 @@ import can
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_adapters.airbot.gripper import MAX_OPENING, motor_angle_from_opening
+from robot_adapters.airbot.gripper import (
+    MAX_OPENING,
+    motor_angle_from_opening,
+    motor_speed_from_opening_speed,
+)
 from robot_adapters.airbot.protocol import Motor, MotorFeedback
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.can.bus import BusError, reports_bus_off, send
@@ -91,7 +95,8 @@ class ControlLoop:
         # A tick that comes late must not catch up in one step.
         self._speed, self._longest_step = speed, 2.0 / settings.rate
         self._sent, self._sent_at = np.array(q, dtype=float), clock.monotonic()
-        self._gripper = None if gripper_angle is None else Interpolator([gripper_angle], 5.0)
+        gripper_speed = motor_speed_from_opening_speed(settings.gripper_speed)
+        self._gripper = None if gripper_angle is None else Interpolator([gripper_angle], gripper_speed)
         self._decoders = _decoders(motors)
         self._target_stamp = clock.monotonic()
         self._had_target = False

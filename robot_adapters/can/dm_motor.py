@@ -118,26 +118,6 @@ class DmMotor:
             self.kd_range.decode(bits >> 12 & 0xFFF),
         )
 
-    def encode_position_velocity(self, position: float, velocity: float) -> can.Message:
-        """Go to a position [rad] at a velocity [rad/s]: the motor's own trajectory (control mode 2)."""
-        check_finite(position=position, velocity=velocity)
-        return frame(0x100 | self.id, struct.pack("<ff", position, velocity))
-
-    def encode_velocity(self, velocity: float) -> can.Message:
-        """Turn at a velocity [rad/s] (control mode 3)."""
-        check_finite(velocity=velocity)
-        return frame(0x200 | self.id, struct.pack("<f", velocity))
-
-    def encode_position_velocity_current(
-        self, position: float, velocity: float, current: float
-    ) -> can.Message:
-        """Go to a position [rad] within a velocity [rad/s] and a current [A] (control mode 4)."""
-        check_finite(position=position, velocity=velocity, current=current)
-        codes = (
-            min(max(round(value), 0), 10000) for value in (velocity * 100.0, current / 10.261194 * 10000.0)
-        )
-        return frame(0x300 | self.id, struct.pack("<fHH", position, *codes))
-
     def decode(self, message: can.Message) -> MotorFeedback | ParameterReply | None:
         """Feedback or a parameter of this motor; None for any other frame.
 

@@ -130,8 +130,8 @@ class FeedbackTable:
         return rows[:, 0], rows[:, 1], rows[:, 2]
 
     def oldest(self, now: float) -> tuple[float, int]:
-        """Age [s] of the oldest joint feedback and its motor's id."""
-        record = min(self._joints, key=lambda record: record.stamp)
+        """Age [s] of the oldest feedback, the gripper's included, and its motor's id."""
+        record = min(self.records.values(), key=lambda record: record.stamp)
         return now - record.stamp, record.motor.id
 
     def troubles(self) -> list[SafetyEvent]:

@@ -16,9 +16,6 @@ import can
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_STANDARD_ID = 0x7FF
-
-
 # Distance from a code at which float32 and float64 are certain to round alike: float32 is off by three
 # roundings of 2^-24 each, times 2^16 codes.
 _SURE = 0.48

@@ -63,7 +63,6 @@ class ArmPlant:
         self._scratch = self._mujoco.MjData(self.model)
         self._q_at = np.array([self.model.joint(name).qposadr[0] for name in description.joint_names])
         self._v_at = np.array([self.model.joint(name).dofadr[0] for name in description.joint_names])
-        self._factors = np.asarray(parameters.torque_factors)
         lag = np.asarray(parameters.lag)
         self._blend = np.where(lag > 0, 1.0 - np.exp(-parameters.timestep / np.where(lag > 0, lag, 1.0)), 1.0)
         self._delay = round(parameters.dead_time / parameters.timestep)
@@ -86,11 +85,6 @@ class ArmPlant:
     def dq(self) -> NDArray[np.float64]:
         """Joint velocities [rad/s] (dof,)."""
         return self.data.qvel[self._v_at].copy()
-
-    @property
-    def motor_torque(self) -> NDArray[np.float64]:
-        """Torque that the motors give [Nm, motor] (dof,)."""
-        return self.data.actuator_force * self._factors
 
     def joint_state(self, joint: int) -> tuple[float, float, float]:
         """Angle [rad], velocity [rad/s] and motor torque [Nm, motor] of one joint."""
