@@ -15,6 +15,7 @@ pytest.importorskip("mujoco")
 
 from robot_adapters.airbot.arm import AirbotArm, NotConnectedError, StartRefusedError
 from robot_adapters.airbot.protocol import DmMotor, Tool
+from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import RangeError, identify
 from robot_adapters.can.bus import BusError, NoAnswerError, open_bus
 from robot_adapters.can.control import ArmMode
@@ -109,12 +110,22 @@ def test_an_arm_without_the_vendor_s_lag_follows_at_once():
     assert lags[0] > 0.04
 
 
-@pytest.mark.parametrize("factor", [math.nan, 0.0, -1.0, 0.5, 2.0])
-def test_impossible_motor_ranges_refuse_the_start(factor):
+@pytest.mark.parametrize("factor", [math.nan, 0.0, -1.0, 0.5, 0.7, 0.99, 1.4, 2.0])
+def test_ranges_that_are_not_the_motors_refuse_the_start(factor):
     with SimulatedCell(faults=[Fault(FaultKind.WRONG_RANGES, 5, magnitude=factor)]) as cell:
-        with pytest.raises(RangeError, match="motor 5"):
+        with pytest.raises(
+            RangeError, match=r"motor 5 reports pos_max = .* in register 0x15, .* 12\.5; write"
+        ):
             cell.arm.connect()
         assert not cell.arm.is_connected
+
+
+def test_a_motor_of_another_type_is_accepted_when_its_ranges_are_named():
+    ranges = {5: (25.0, 60.0, 20.0)}
+    fault = Fault(FaultKind.WRONG_RANGES, 5, magnitude=2.0)
+    with SimulatedCell(faults=[fault], settings=AirbotSettings(motor_ranges=ranges)) as cell:
+        identity = identify(open_bus("virtual", cell.arm.channel), cell.clock, cell.arm.settings)
+        assert identity.motors[4].motor.position_range.high == 25.0
 
 
 def test_a_silent_arm_and_a_pose_outside_the_limits_refuse_the_start():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from robot_adapters.airbot.boards import Tool
@@ -18,8 +19,9 @@ class AirbotSettings:
     of the interpolated velocity that is commanded along with the position. gravity: in the base frame
     [m/s^2]. gravity_factors: motor torque per joint torque; None reads them from the base board. tool: None
     asks the end board. gripper_speed: of the gripper's opening [m/s]. limits: of the safety gate.
-    range_tolerance: largest ratio between a DM motor's reported and documented ranges. shutdown: seconds each
-    phase of the soft shutdown takes. final_damping: of the joints when all else is off [Nm s/rad].
+    motor_ranges: (pos_max [rad], vel_max [rad/s], torque_max [Nm]) by id of a DM motor that is not the arm's
+    usual type. shutdown: seconds each phase of the soft shutdown takes. final_damping: of the joints when all
+    else is off [Nm s/rad].
     """
 
     kp: tuple[float, ...] = (100.0, 100.0, 100.0, 20.0, 20.0, 20.0)
@@ -33,7 +35,7 @@ class AirbotSettings:
     gravity_factors: tuple[float, ...] | None = None
     tool: Tool | None = None
     limits: SafetyLimits = field(default_factory=SafetyLimits)
-    range_tolerance: float = 1.5
+    motor_ranges: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
     shutdown: float = 0.4
     final_damping: tuple[float, ...] = (10.0, 10.0, 10.0, 2.0, 2.0, 2.0)
 

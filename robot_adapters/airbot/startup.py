@@ -32,7 +32,11 @@ from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.can.bus import NoAnswerError, ask, drain, receive, send
 from robot_adapters.clock import Clock
 
-DOCUMENTED_RANGES = {DmRegister.POS_MAX: 12.5, DmRegister.VEL_MAX: 30.0, DmRegister.TORQUE_MAX: 10.0}
+RANGE_REGISTERS = (DmRegister.POS_MAX, DmRegister.VEL_MAX, DmRegister.TORQUE_MAX)
+# Of the arm's DM motors (DM-J4310): pos_max [rad], vel_max [rad/s], torque_max [Nm]. A motor scales all its
+# numbers by them, so that there is no such thing as a nearly right one.
+DOCUMENTED_RANGES = (12.5, 30.0, 10.0)
+_SAME = 1e-5  # relative: registers hold float32
 DEFAULT_GRAVITY_FACTORS = (0.6, 0.6, 0.6, 1.6, 1.25, 1.5)
 _WHOLE_VALUE_TIMEOUT = 0.1  # s for the segments after the first
 
@@ -91,8 +95,7 @@ def bring_up(
     command.
 
     Per DM motor: disable, wait for feedback, read the ranges, clear the error, enable, set the control mode.
-    OD motors need nothing. Raises NoAnswerError, or RangeError when the ranges are not those that `identity`
-    has.
+    OD motors need nothing. Raises NoAnswerError, or RangeError for ranges that are not the motors'.
     """
     settings = settings or AirbotSettings()
     motors = [each.motor for each in identity.motors]
@@ -100,9 +103,7 @@ def bring_up(
         if not isinstance(motor, DmMotor):
             continue
         _act(bus, clock, motor, DmLifecycle.DISABLE)
-        seen = _read_ranges(bus, clock, motor.id, settings)
-        if seen.position_range.high != motor.position_range.high:
-            raise RangeError(f"motor {motor.id} changed its ranges; power the arm off and on")
+        _read_ranges(bus, clock, motor.id, settings)
         _act(bus, clock, motor, DmLifecycle.CLEAR_ERROR)
         _act(bus, clock, motor, DmLifecycle.ENABLE)
         mode = motor.write(DmRegister.CONTROL_MODE, MIT_MODE)
@@ -219,20 +220,20 @@ def _identify_dm(bus: can.BusABC, clock: Clock, motor_id: int, settings: AirbotS
 
 
 def _read_ranges(bus: can.BusABC, clock: Clock, motor_id: int, settings: AirbotSettings) -> DmMotor:
-    ranges = []
-    for register, documented in DOCUMENTED_RANGES.items():
-        what = f"{register.name.lower()} of motor {motor_id}"
-        asking = DmMotor(motor_id)
+    expected = settings.motor_ranges.get(motor_id, DOCUMENTED_RANGES)
+    asking = DmMotor(motor_id)
+    for register, known in zip(RANGE_REGISTERS, expected, strict=True):
+        name = register.name.lower()
+        what = f"{name} of motor {motor_id}"
         value = ask(bus, clock, asking.request(register), _parameter(asking, register), what).value
-        tolerance = settings.range_tolerance
         number = float(value) if isinstance(value, float) else math.nan
-        if not documented / tolerance <= number <= documented * tolerance:
+        if not abs(number - known) <= _SAME * known:
             raise RangeError(
-                f"motor {motor_id} reports {register.name.lower()} = {value}, documented is {documented}; "
-                "check the motor's type and id before anything moves"
+                f"motor {motor_id} reports {name} = {number:g} in register 0x{register:02X}, this arm's motors "
+                f"have {known:g}; write {known:g} into it with the maker's tool or, if the motor is of another "
+                f"type, give AirbotSettings(motor_ranges={{{motor_id}: (pos_max, vel_max, torque_max)}})"
             )
-        ranges.append(number)
-    return DmMotor(motor_id, *ranges)
+    return DmMotor(motor_id, *expected)
 
 
 def _act(bus: can.BusABC, clock: Clock, motor: DmMotor, action: DmLifecycle) -> MotorFeedback:

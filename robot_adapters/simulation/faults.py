@@ -125,7 +125,8 @@ def random_fault(
         magnitude, duration = float(random.uniform(90.0, 100.0)), math.inf
     elif kind is FaultKind.WRONG_RANGES:
         motor_id = int(random.integers(4, 7))
-        magnitude, start, duration = float(random.choice((math.nan, 0.0, -1.0, 0.5, 2.0))), 0.0, math.inf
+        magnitude = float(random.choice((math.nan, 0.0, -1.0, 0.5, 0.7, 1.4, 2.0)))
+        start, duration = 0.0, math.inf
     elif kind is FaultKind.BUS_OFF:
         motor_id = None
     return Fault(kind, motor_id, start, duration, rate, magnitude)
