@@ -1,4 +1,4 @@
-"""Clocks: the real one, and a simulated one that runs what is scheduled on it whenever somebody sleeps.
+"""Clocks: the real one, and simulated ones that run what is scheduled on them whenever somebody sleeps.
 
 Everything below that waits or runs periodically takes a `Clock`. On a `SimulatedClock` the arm, its driver
 and the caller share one thread: `clock.sleep(0.05)` runs every callback due in the next 50 ms in order of
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import threading
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -108,3 +109,31 @@ class SimulatedClock:
         finally:
             self._running = False
         self._now = max(self._now, end)
+
+
+class PatientClock(SimulatedClock):
+    """Simulated time that follows the computer's, and waits for a computer that is too slow.
+
+    For programs that wait in real time by themselves, such as LeRobot's commands: they call `catch_up` at every
+    observation and action. A program that is held up in between finds that hardly any time has passed.
+    """
+
+    def __init__(self, most: float = 0.1) -> None:
+        """At most `most` [s] pass at once; the default is below every timeout of the driver's targets."""
+        super().__init__()
+        self._most = most
+        self._seen = time.monotonic()
+        self._one_at_a_time = threading.Lock()
+
+    def catch_up(self) -> None:
+        """Let the time pass that the computer's clock has gone on since the last call, `most` at the most.
+
+        May be called from any thread; while one of them catches up, the others do nothing.
+        """
+        if self._one_at_a_time.acquire(blocking=False):
+            try:
+                now = time.monotonic()
+                self.sleep(min(now - self._seen, self._most))
+                self._seen = now
+            finally:
+                self._one_at_a_time.release()

@@ -28,7 +28,7 @@ def arm_process(interface: str, channel: str) -> Iterator[subprocess.Popen]:
     finally:
         server.send_signal(signal.SIGINT)
         try:
-            server.wait(timeout=20)
+            server.wait(timeout=120)
         finally:
             server.kill()
 

@@ -8,9 +8,24 @@ from collections.abc import Iterator
 import numpy as np
 
 from robot_adapters.airbot.settings import AirbotSettings
+from robot_adapters.clock import RealClock
 from robot_adapters.simulation.cell import SimulatedCell
 
 QUICK = AirbotSettings(shutdown=0.02)
+
+
+class SlowMotion(RealClock):
+    """The computer's clock at a tenth of its speed: arm and driver run in threads as always, and a computer that
+    has other things to do may hold each of them up for ten times as long before the arm counts as lost.
+    """
+
+    def monotonic(self) -> float:
+        """The time now [s]."""
+        return super().monotonic() / 10
+
+    def sleep(self, seconds: float) -> None:
+        """Wait ten times as long in real time."""
+        super().sleep(seconds * 10)
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from unittest import mock
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"}
 
 
-def run_console(command: str, *options: str, timeout: float = 300) -> str:
+def run_console(command: str, *options: str, timeout: float = 1500) -> str:
     """Runs a console command in a process of its own; what it printed. AssertionError if it fails."""
     done = subprocess.run(
         [str(Path(sys.executable).with_name(command)), *options],

@@ -53,7 +53,7 @@ class Waiting(Single):
     gate = threading.Event()
 
     def solve(self, q_curr, target_pose):
-        self.gate.wait(30)
+        self.gate.wait(300)
         return super().solve(q_curr, target_pose)
 
 

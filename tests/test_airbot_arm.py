@@ -6,10 +6,11 @@ import math
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
-from driver_cell import QUICK, connected_cell, track
+from driver_cell import QUICK, SlowMotion, connected_cell, track
 
 pytest.importorskip("mujoco")
 
@@ -19,7 +20,7 @@ from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import RangeError, identify
 from robot_adapters.can.bus import BusError, NoAnswerError, open_bus
 from robot_adapters.can.control import ArmMode
-from robot_adapters.clock import RealClock, SimulatedClock
+from robot_adapters.clock import SimulatedClock
 from robot_adapters.safety import CommandStatus
 from robot_adapters.simulation.cell import SimulatedCell
 from robot_adapters.simulation.faults import Fault, FaultKind
@@ -207,9 +208,9 @@ def test_two_arms_run_side_by_side():
 
 def test_real_time_smoke():
     before = threading.active_count()
-    with SimulatedCell(RealClock(), settings=QUICK) as cell:
+    with SimulatedCell(SlowMotion(), settings=QUICK) as cell:
         with cell.arm:
-            results = track(cell, 0.6)
+            results = track(cell, 0.1)
             assert results
             state = cell.arm.read()
             assert np.all(np.isfinite(state.q))
@@ -221,9 +222,9 @@ def test_real_time_smoke():
 SIGNALLED = """
 import atexit, os, signal, sys, threading, time
 from robot_adapters.simulation.cell import SimulatedCell
-from robot_adapters.clock import RealClock
+from driver_cell import QUICK, SlowMotion
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell has it ignored
-cell = SimulatedCell(RealClock(), handle_signals=True)
+cell = SimulatedCell(SlowMotion(), settings=QUICK, handle_signals=True)
 
 def tell():
     state = [cell.simulation.motors[i].enabled for i in (4, 5, 6, 7)]
@@ -241,7 +242,11 @@ for _ in range(5000):
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_signals_leave_the_motors_safe_without_anybody_closing_the_arm(name):
     done = subprocess.run(
-        [sys.executable, "-c", SIGNALLED.format(name=name)], capture_output=True, text=True, timeout=300
+        [sys.executable, "-c", SIGNALLED.format(name=name)],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        timeout=900,
     )
     assert done.stdout == "released", done.stderr
     assert done.returncode != 0

@@ -4,13 +4,17 @@ import gc
 import logging
 import sys
 
-from robot_adapters.clock import RealClock
+from driver_cell import QUICK, SlowMotion
+
 from robot_adapters.simulation.cell import SimulatedCell
 
 
 def test_collections_are_short_while_any_arm_runs_and_usual_afterwards():
     usual, frozen = sys.getswitchinterval(), gc.get_freeze_count()
-    with SimulatedCell(RealClock()) as first, SimulatedCell(RealClock()) as second:
+    with (
+        SimulatedCell(SlowMotion(), settings=QUICK) as first,
+        SimulatedCell(SlowMotion(), settings=QUICK) as second,
+    ):
         first.arm.connect()
         second.arm.connect()
         assert sys.getswitchinterval() <= 0.001

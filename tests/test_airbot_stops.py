@@ -9,14 +9,13 @@ import threading
 import can
 import numpy as np
 import pytest
-from driver_cell import QUICK, connected_cell, names, track
+from driver_cell import QUICK, SlowMotion, connected_cell, names, track
 
 pytest.importorskip("mujoco")
 
 from robot_adapters.airbot.protocol import DmLifecycle, DmMotor
 from robot_adapters.can.bus import open_bus
 from robot_adapters.can.control import ArmMode
-from robot_adapters.clock import RealClock
 from robot_adapters.safety import CommandStatus
 from robot_adapters.simulation.cell import SimulatedCell
 from robot_adapters.simulation.faults import Fault, FaultKind
@@ -149,7 +148,7 @@ def test_a_blocked_joint_is_a_following_error_and_holds(cell):
 
 
 def test_a_failing_bus_stops_the_loop_in_real_time():
-    with SimulatedCell(RealClock(), settings=QUICK) as cell:
+    with SimulatedCell(SlowMotion(), settings=QUICK) as cell:
         cell.arm.connect()
         cell.arm._bus.shutdown()
         for _ in range(100):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
-from robot_adapters.clock import SimulatedClock
+from robot_adapters.clock import PatientClock, SimulatedClock
 
 
 def test_callbacks_run_in_order_of_time_and_of_scheduling():
@@ -40,3 +42,20 @@ def test_a_callback_must_not_sleep():
         clock.sleep(0.02)
     with pytest.raises(ValueError, match="period"):
         clock.every(0.0, lambda: None)
+
+
+def test_a_patient_clock_lets_little_time_pass_however_long_the_program_was_held_up():
+    clock, seen = PatientClock(most=0.02), []
+    clock.every(0.01, lambda: seen.append(clock.monotonic()), delay=0.01)
+    time.sleep(0.05)
+    clock.catch_up()
+    assert seen == [0.01, 0.02]
+    assert clock.monotonic() == 0.02
+
+
+def test_a_patient_clock_is_never_ahead_of_the_computer():
+    clock, began = PatientClock(), time.monotonic()
+    for _ in range(20):
+        time.sleep(0.001)
+        clock.catch_up()
+        assert 0 < clock.monotonic() <= time.monotonic() - began + 1e-3

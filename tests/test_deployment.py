@@ -2,11 +2,11 @@
 
 import json
 import threading
-import time
 
 import numpy as np
 import pytest
 from arm_process import arm_process
+from pace import judged_by_the_pace
 
 from lerobot_mimicik.cli.main import main
 from lerobot_mimicik.evaluation.rollouts import RolloutOptions, known_modes, make_rollouts
@@ -15,6 +15,7 @@ from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers import make_solver
 from robot_adapters.adapter import MimicIKAdapter
+from robot_adapters.airbot.od_motor import OdMotor
 from robot_adapters.can.bus import BusError, open_bus
 from robot_adapters.deployment import approach, drive
 from robot_adapters.doctor import Doctor, DoctorOptions, Outcome
@@ -119,8 +120,16 @@ def test_a_drive_ends_at_a_command_that_is_not_finite(circle):
     assert log.statuses == {"refused": 1}
 
 
-@pytest.mark.parametrize("options", [["--real_time=false"], ["--real_time=true", "--reference=measured"]])
-def test_deploy_command(mimicik_run, tmp_path, options):
+@pytest.mark.parametrize("real_time", [False, True])
+def test_deploy_command(mimicik_run, tmp_path, real_time):
+    if real_time:
+        with judged_by_the_pace():
+            check_deploy_command(mimicik_run, tmp_path, "--real_time=true", "--reference=measured")
+    else:
+        check_deploy_command(mimicik_run, tmp_path, "--real_time=false")
+
+
+def check_deploy_command(mimicik_run, tmp_path, *options: str) -> None:
     out = tmp_path / "report"
     assert (
         main(
@@ -150,6 +159,18 @@ def test_deploy_command(mimicik_run, tmp_path, options):
     assert (tmp_path / "deployment.rrd").stat().st_size > 10_000
 
 
+def stands_still(witness) -> bool | None:
+    """Whether the next command of the joints 1 to 3 repeats the positions before; None where none comes."""
+    positions = []
+    while len(positions) < 6:
+        frame = witness.recv(0.5)
+        if frame is None:
+            return None
+        if frame.arbitration_id in (1, 2, 3) and (command := OdMotor(frame.arbitration_id).decode_mit(frame)):
+            positions.append((frame.arbitration_id, command.position))
+    return set(positions[:3]) == set(positions[3:])
+
+
 def test_a_deployment_that_the_arm_ends_is_reported_as_far_as_it_went(mimicik_run, tmp_path, capsys):
     pytest.importorskip("msgpack")
     channel = "239.74.163.78"
@@ -162,14 +183,24 @@ def test_a_deployment_that_the_arm_ends_is_reported_as_far_as_it_went(mimicik_ru
     with witness, arm_process("udp_multicast", channel) as arm:
 
         def cut_the_power():
-            while (frame := witness.recv(60.0)) is not None and frame.arbitration_id != 1:
-                pass
-            time.sleep(8.0)
+            """After the way to the start, 15 frames of rest there, and a part of the trajectory."""
+            for still, count in ((False, 20), (True, 80), (False, 250)):
+                seen = 0
+                while seen < count and not over.is_set():
+                    now = stands_still(witness)
+                    seen = seen + 1 if now is still else 0 if still else seen
             arm.kill()
 
-        threading.Thread(target=cut_the_power).start()
-        assert main(["deploy", *options, "--interface=udp_multicast", f"--channel={channel}"]) == 1
-    assert "The arm stopped" in capsys.readouterr().err
+        over = threading.Event()
+        power = threading.Thread(target=cut_the_power)
+        power.start()
+        try:
+            with judged_by_the_pace():
+                assert main(["deploy", *options, "--interface=udp_multicast", f"--channel={channel}"]) == 1
+                assert "The arm stopped" in capsys.readouterr().err
+        finally:
+            over.set()
+            power.join()
     (row,) = json.loads((tmp_path / "report.json").read_text())["rows"]
     summary = json.loads((tmp_path / "deployment.json").read_text())
     assert 0 < summary["frames"] < row["frames"] == 400

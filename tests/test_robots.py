@@ -21,7 +21,9 @@ from lerobot.teleoperators.utils import make_teleoperator_from_config
 from serving_cases import serving
 
 from lerobot_mimicik.solvers import make_solver
+from robot_adapters.clock import PatientClock, RealClock
 from robot_adapters.ik_options import IKOptions
+from robot_adapters.robots.airbot_play import open_arm
 from robot_adapters.robots.config_airbot_play import (
     AirbotConnection,
     AirbotPlayConfig,
@@ -32,6 +34,8 @@ from robot_adapters.robots.config_airbot_play import (
 from robot_adapters.robots.config_recorded_motion import RecordedMotionConfig
 from robot_adapters.safety import CommandStatus
 
+# The simulated arm waits for a busy computer; its time passes in `wait`.
+VIRTUAL = {"interface": "virtual", "real_time": False}
 JOINTS = [f"joint{i}.pos" for i in range(1, 7)]
 
 
@@ -53,17 +57,20 @@ def connected(tmp_path):
             robot.disconnect()
 
 
-def follow(robot, key: str, change: float, frames: int = 12) -> dict:
-    """Moves one number smoothly, and holds there until most of the way is made; what was sent last.
+def wait(robot, seconds: float) -> None:
+    """Lets simulated time pass for the robot's arm, or for both."""
+    for arm in (robot.left_arm, robot.right_arm) if hasattr(robot, "left_arm") else (robot,):
+        arm.arm.clock.sleep(seconds)
 
-    A busy computer simulates arms slower than they move: ten seconds are given.
-    """
+
+def follow(robot, key: str, change: float, frames: int = 12) -> dict:
+    """Moves one number smoothly, and holds there until most of the way is made; what was sent last."""
     start = robot.get_observation()
-    for frame in range(1, frames + 200):
+    for frame in range(1, frames + 40):
         action = {name: start[name] for name in robot.action_features}
         action[key] += change * min(frame / frames, 1.0)
         sent = robot.send_action(action)
-        time.sleep(0.05)
+        wait(robot, 0.05)
         if frame >= frames and abs(robot.get_observation()[key] - start[key]) > 0.8 * abs(change):
             break
     return sent
@@ -74,9 +81,16 @@ def test_registered_under_their_names():
     assert {"airbot_play", "airbot_play_ee", "bi_airbot_play", "bi_airbot_play_ee"} <= set(known)
 
 
+def test_a_virtual_arm_runs_in_real_time_unless_it_shall_wait_for_the_computer():
+    for options, clock in (({}, RealClock), ({"real_time": False}, PatientClock)):
+        _, cell = open_arm(AirbotConnection(interface="virtual", **options))
+        with cell:
+            assert type(cell.clock) is clock
+
+
 @pytest.mark.parametrize("units", ["rad", "deg"])
 def test_joint_space(connected, units):
-    robot = connected(AirbotPlayConfig(interface="virtual", joint_units=units))
+    robot = connected(AirbotPlayConfig(**VIRTUAL, joint_units=units))
     assert list(robot.action_features) == [*JOINTS, "gripper.pos"]
     observation = robot.get_observation()
     assert set(observation) == set(robot.observation_features)
@@ -89,21 +103,21 @@ def test_joint_space(connected, units):
 
 
 def test_without_a_gripper(connected):
-    robot = connected(AirbotPlayConfig(interface="virtual", gripper=False))
+    robot = connected(AirbotPlayConfig(**VIRTUAL, gripper=False))
     assert list(robot.action_features) == JOINTS
     assert set(robot.send_action(robot.get_observation())) == set(JOINTS)
 
 
 def test_a_jump_is_refused_and_reported_or_walked_to(connected, caplog):
     with caplog.at_level(logging.WARNING):
-        robot = connected(AirbotPlayConfig(interface="virtual", gripper=False))
+        robot = connected(AirbotPlayConfig(**VIRTUAL, gripper=False))
         start = robot.get_observation()
         far = start | {"joint1.pos": start["joint1.pos"] + 1.0}
         sent = robot.send_action(far)
         assert robot.result.status is CommandStatus.REFUSED
         assert sent["joint1.pos"] == pytest.approx(start["joint1.pos"], abs=5e-3)
         assert "JumpViolation" in caplog.text
-    robot = connected(AirbotPlayConfig(interface="virtual", gripper=False, max_relative_target=0.05))
+    robot = connected(AirbotPlayConfig(**VIRTUAL, gripper=False, max_relative_target=0.05))
     before = robot.get_observation()["joint1.pos"]
     sent = [robot.send_action(far)["joint1.pos"] for _ in range(1)]
     assert sent[0] - before == pytest.approx(0.05, abs=5e-3)
@@ -116,11 +130,11 @@ def test_errors_name_the_thing(connected, tmp_path):
         AirbotPlayConfig(max_relative_target=2.0)
     with pytest.raises(ValueError, match="euler"):
         AirbotPlayEEConfig(rotation="euler")
-    robot = make_robot_from_config(AirbotPlayEEConfig(interface="virtual", calibration_dir=tmp_path))
+    robot = make_robot_from_config(AirbotPlayEEConfig(**VIRTUAL, calibration_dir=tmp_path))
     with pytest.raises(ValueError, match=r"ik\.path is missing"):
         robot.connect()
     assert not robot.is_connected
-    robot = connected(AirbotPlayConfig(interface="virtual", gripper=False))
+    robot = connected(AirbotPlayConfig(**VIRTUAL, gripper=False))
     with pytest.raises(KeyError, match=r"joint3\.pos"):
         robot.send_action({key: 0.0 for key in JOINTS if key != "joint3.pos"})
 
@@ -136,7 +150,7 @@ def test_an_interface_that_does_not_exist_says_what_to_do(tmp_path):
 
 @pytest.mark.parametrize("rotation", ["quaternion", "rotation_vector", "rotation_6d"])
 def test_end_effector_space(connected, mimicik_run, rotation):
-    config = AirbotPlayEEConfig(interface="virtual", ik=IKOptions(path=str(mimicik_run)), rotation=rotation)
+    config = AirbotPlayEEConfig(**VIRTUAL, ik=IKOptions(path=str(mimicik_run)), rotation=rotation)
     robot = connected(config)
     assert list(robot.action_features)[:3] == ["ee.x.pos", "ee.y.pos", "ee.z.pos"]
     assert list(robot.action_features)[-1] == "ee.gripper.pos"
@@ -156,7 +170,7 @@ def test_the_ik_may_answer_from_another_computer(connected):
     solvers = {"mink": partial(make_solver, "mink", airbot())}
     with serving(solvers) as server:
         ik = IKOptions(address=server.address, solver="mink")
-        robot = connected(AirbotPlayEEConfig(interface="virtual", gripper=False, ik=ik))
+        robot = connected(AirbotPlayEEConfig(**VIRTUAL, gripper=False, ik=ik))
         before = robot.get_observation()["ee.z.pos"]
         follow(robot, "ee.z.pos", 0.03)
         assert robot.get_observation()["ee.z.pos"] - before > 0.02
@@ -166,9 +180,7 @@ def test_the_ik_may_answer_from_another_computer(connected):
 
 
 def test_a_pose_that_is_none_holds_the_arm(connected, mimicik_run, caplog):
-    robot = connected(
-        AirbotPlayEEConfig(interface="virtual", gripper=False, ik=IKOptions(path=str(mimicik_run)))
-    )
+    robot = connected(AirbotPlayEEConfig(**VIRTUAL, gripper=False, ik=IKOptions(path=str(mimicik_run))))
     before = robot.arm.target()
     with caplog.at_level(logging.WARNING):
         robot.send_action(dict.fromkeys(robot.action_features, 0.0))
@@ -177,7 +189,7 @@ def test_a_pose_that_is_none_holds_the_arm(connected, mimicik_run, caplog):
 
 
 def test_two_arms(connected):
-    virtual = AirbotConnection(interface="virtual", gripper=False)
+    virtual = AirbotConnection(**VIRTUAL, gripper=False)
     robot = connected(BiAirbotPlayConfig(left=virtual, right=virtual))
     assert list(robot.action_features) == [f"{side}_{key}" for side in ("left", "right") for key in JOINTS]
     follow(robot, "left_joint6.pos", 0.2)
@@ -189,7 +201,7 @@ def test_two_arms(connected):
 
 
 def test_two_arms_in_end_effector_space(connected, mimicik_run):
-    virtual = AirbotConnection(interface="virtual")
+    virtual = AirbotConnection(**VIRTUAL)
     robot = connected(BiAirbotPlayEEConfig(left=virtual, right=virtual, ik=IKOptions(path=str(mimicik_run))))
     observation = robot.get_observation()
     assert {"left_ee.x.pos", "right_ee.qw.pos", "right_ee.gripper.pos"} <= set(observation)
@@ -200,7 +212,7 @@ def test_two_arms_in_end_effector_space(connected, mimicik_run):
 def test_two_arms_close_when_one_does_not_answer(tmp_path):
     robot = make_robot_from_config(
         BiAirbotPlayConfig(
-            left=AirbotConnection(interface="virtual"),
+            left=AirbotConnection(**VIRTUAL),
             right=AirbotConnection(interface="virtual-nowhere"),
             calibration_dir=tmp_path,
         )
@@ -237,11 +249,11 @@ def test_lerobots_own_cameras_attach(connected, image_server, two):
     camera = ZMQCameraConfig(
         server_address="127.0.0.1", port=image_server, camera_name="wrist", width=64, height=48, fps=30
     )
-    virtual = AirbotConnection(interface="virtual", gripper=False)
+    virtual = AirbotConnection(**VIRTUAL, gripper=False)
     config = (
         BiAirbotPlayConfig(left=virtual, right=virtual, cameras={"wrist": camera})
         if two
-        else AirbotPlayConfig(interface="virtual", gripper=False, cameras={"wrist": camera})
+        else AirbotPlayConfig(**VIRTUAL, gripper=False, cameras={"wrist": camera})
     )
     robot = connected(config)
     assert robot.observation_features["wrist"] == (48, 64, 3)

@@ -29,7 +29,8 @@ from lerobot_mimicik.serving.security import ClientKeys, ServerKeys, make_keys
 from lerobot_mimicik.serving.server import IKServer
 from lerobot_mimicik.solvers import make_solver
 
-PATIENT = 20.0
+# s: a machine that is busy with other things answers late; a server that does not answer at all is found in the end.
+PATIENT = 300.0
 HOSTILE = 1000
 
 
@@ -236,13 +237,13 @@ def test_a_reply_to_another_request_is_not_taken_for_an_answer():
             router.send_multipart([sender, protocol.pack_reply(number.to_bytes(8), value)])
 
     with zmq.Context.instance().socket(zmq.ROUTER) as router:
-        router.rcvtimeo, router.linger = 20_000, 0
+        router.rcvtimeo, router.linger = 300_000, 0
         port = router.bind_to_random_port("tcp://127.0.0.1")
         thread = threading.Thread(target=answer, args=(router,))
         thread.start()
         client = connect(f"tcp://127.0.0.1:{port}", "s")
         client.reset(np.zeros(1))
-        thread.join(20)
+        thread.join(PATIENT)
         assert client.session == b"right"
         client.close()
 
@@ -353,7 +354,7 @@ def test_a_thousand_hostile_messages_are_refused_one_by_one(address):
     rng = np.random.default_rng(0)
     with connect(address) as honest, zmq.Context.instance().socket(zmq.DEALER) as attacker:
         honest.reset(HOME)
-        attacker.linger, attacker.rcvtimeo = 0, 20_000
+        attacker.linger, attacker.rcvtimeo = 0, 300_000
         attacker.connect(address)
         refusals = set()
         for number in range(HOSTILE):

@@ -90,9 +90,10 @@ def receive(bus: can.BusABC, clock: Clock, until: float) -> can.Message | None:
         left = until - clock.monotonic()
         if message is not None or left <= 0:
             return message
-        if not clock.simulated:
-            return bus.recv(left)
-        clock.sleep(min(left, 0.0005))
+        if clock.simulated:
+            clock.sleep(min(left, 0.0005))
+        elif (message := bus.recv(left)) is not None:
+            return message
 
 
 def ask[Answer](

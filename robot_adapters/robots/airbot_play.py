@@ -20,6 +20,7 @@ from lerobot_mimicik.kinematics.poses import IDENTITY, PolicyFrames, PoseFormat
 from robot_adapters.adapter import IKResult, IKStatus, MimicIKAdapter
 from robot_adapters.airbot.arm import AirbotArm, CommandResult
 from robot_adapters.airbot.gripper import MAX_OPENING
+from robot_adapters.clock import PatientClock, RealClock
 from robot_adapters.robots.config_airbot_play import AirbotConnection, AirbotPlayConfig, AirbotPlayEEConfig
 from robot_adapters.safety import ArmStopped, CommandStatus
 
@@ -137,6 +138,7 @@ class AirbotPlay(Robot):
     @check_if_not_connected
     def get_observation(self) -> RobotObservation:
         """Measured joints in the configured units, the gripper's opening [m], and images."""
+        self._let_time_pass()
         state = self.arm.read()
         return {**self._positions(state.q, state.gripper), **self._images()}
 
@@ -148,6 +150,7 @@ class AirbotPlay(Robot):
             KeyError: a joint is missing.
             ArmStoppedError: the arm has stopped.
         """
+        self._let_time_pass()
         given = np.array([self._number(action, key) for key in self.joint_keys])
         q = np.radians(given) if self.config.joint_units == "deg" else given
         opening = self._number(action, GRIPPER) if self.config.gripper else None
@@ -174,6 +177,11 @@ class AirbotPlay(Robot):
         if now - self._warned.get(name, -math.inf) > _QUIET:
             self._warned[name] = now
             _log.warning("%s: %s", self, message)
+
+    def _let_time_pass(self) -> None:
+        """Run a simulated arm that waits for the computer; all others run by themselves."""
+        if isinstance(self.arm.clock, PatientClock):
+            self.arm.clock.catch_up()
 
     def _positions(self, q: NDArray[np.float64], opening: float | None) -> dict[str, float]:
         values = np.degrees(q) if self.config.joint_units == "deg" else q
@@ -241,6 +249,7 @@ class AirbotPlayEE(AirbotPlay):
     @check_if_not_connected
     def get_observation(self) -> RobotObservation:
         """The measured pose `T_base_tool`, the gripper's opening [m], and images."""
+        self._let_time_pass()
         state = self.arm.read()
         return {**self._poses(state.q, state.gripper), **self._images()}
 
@@ -252,6 +261,7 @@ class AirbotPlayEE(AirbotPlay):
             KeyError: a number is missing.
             ArmStoppedError: the arm has stopped.
         """
+        self._let_time_pass()
         numbers = np.array([self._number(action, key) for key in self.pose_keys])
         opening = self._number(action, f"ee.{GRIPPER}") if self.config.gripper else None
         measured = self.arm.read().q
@@ -290,11 +300,10 @@ def open_arm(connection: AirbotConnection) -> tuple[AirbotArm, Any]:
     handle_signals = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     if connection.interface == "virtual":
         from robot_adapters.airbot.protocol import Tool
-        from robot_adapters.clock import RealClock
         from robot_adapters.simulation.cell import SimulatedCell
 
         cell = SimulatedCell(
-            RealClock(),
+            RealClock() if connection.real_time else PatientClock(),
             q=connection.start or None,
             tool=Tool.G2 if connection.gripper else Tool.NONE,
             handle_signals=handle_signals,

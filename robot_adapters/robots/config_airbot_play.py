@@ -27,6 +27,8 @@ class AirbotConnection:
     gripper: bool = True
     # interface=virtual: joints at which the simulated arm starts [rad]; empty: its home.
     start: list[float] = field(default_factory=list)
+    # interface=virtual: false lets the simulated arm wait for a computer that is too slow for real time.
+    real_time: bool = True
 
     def __post_init__(self) -> None:
         if self.joint_units not in ("rad", "deg"):
