@@ -9,7 +9,15 @@ from lerobot.optim.schedulers import CosineAnnealingWithWarmupSchedulerConfig
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_mimicik.columns import flat_names, joint_columns
+from lerobot_mimicik.configuration_reasons import check_types, reasons_for_users
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
+
+MAX_WEIGHTS = 500_000_000
+"""Of a network; the paper's has 16 million. A configuration that asks for more is refused before it is built."""
+MAX_OBS_STEPS = 100
+"""Observation frames, 5 s at 20 Hz; two are used."""
+MAX_JOINTS = 32
+"""Joints of one arm; a configuration with more is no arm's."""
 
 _CHOICES = {
     "joint_units": ("rad", "deg"),
@@ -86,10 +94,22 @@ class LearnedIKConfig(PreTrainedConfig):
     grad_clip_norm: float = 10.0
 
     def __post_init__(self) -> None:
-        super().__post_init__()
+        with reasons_for_users():
+            super().__post_init__()
+            self.urdf = str(self.urdf)  # a path may be given as one
+            check_types(self)
+            self.check()
+            self._store_arm()
+
+    def check(self) -> None:
+        """Refuses values that cannot work; a subclass adds those of its own fields.
+
+        Raises:
+            ValueError: names the field, its value and what was expected.
+        """
         for name, choices in _CHOICES.items():
             self.check_choice(name, choices)
-        self.check_at_least_one("n_obs_steps")
+        self.check_sizes(n_obs_steps=MAX_OBS_STEPS)
         for name in ("fk_weight", "fk_rotation_weight", "grad_clip_norm", "optimizer_weight_decay"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name}={getattr(self, name)}: expected zero or more")
@@ -97,18 +117,17 @@ class LearnedIKConfig(PreTrainedConfig):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name}={getattr(self, name)}: expected more than zero")
         self.check_share("ema_decay")
-        self._store_arm()
 
     def check_choice(self, name: str, choices: tuple[str, ...]) -> None:
         """Raises ValueError unless the field's value is one of ``choices``."""
         if getattr(self, name) not in choices:
             raise ValueError(f"{name}={getattr(self, name)!r}: expected one of {', '.join(choices)}")
 
-    def check_at_least_one(self, *names: str) -> None:
-        """Raises ValueError unless these fields, counts and sizes, are one or more."""
-        for name in names:
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}={getattr(self, name)}: expected at least 1")
+    def check_sizes(self, **largest: int) -> None:
+        """Raises ValueError unless these fields, counts and sizes, lie between one and the largest given."""
+        for name, most in largest.items():
+            if not 1 <= getattr(self, name) <= most:
+                raise ValueError(f"{name}={getattr(self, name)}: expected 1 to {most}")
 
     def check_share(self, name: str) -> None:
         """Raises ValueError unless the field's value lies in [0, 1)."""
@@ -124,6 +143,8 @@ class LearnedIKConfig(PreTrainedConfig):
             joint_names=self.joint_names,
             tool_offset=self.tool_offset or None,
         )
+        if len(arm.joint_names) > MAX_JOINTS:
+            raise ValueError(f"the arm has {len(arm.joint_names)} joints: expected at most {MAX_JOINTS}")
         self.urdf, self.base_link, self.tip_link = arm.urdf, arm.base_link, arm.tip_link
         self.joint_names, self.tool_offset = list(arm.joint_names), list(arm.tool_offset)
 

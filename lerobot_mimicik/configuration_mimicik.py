@@ -24,10 +24,11 @@ class MimicIKConfig(LearnedIKConfig):
     n_heads: int = 4
     d_ff: int = 1024
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        """As `LearnedIKConfig.check`."""
+        super().check()
         self.check_choice("objective", ("mip", "flow", "regression"))
-        self.check_at_least_one("flow_steps", "d_model", "n_layers", "n_heads", "d_ff")
+        self.check_sizes(flow_steps=1000, d_model=8192, n_layers=256, n_heads=256, d_ff=65_536)
         if self.d_model % (4 * self.n_heads):
             raise ValueError(f"d_model={self.d_model} must be a multiple of 4 * n_heads = {4 * self.n_heads}")
         self.check_share("t_star")

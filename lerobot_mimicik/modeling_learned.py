@@ -22,7 +22,7 @@ from lerobot_mimicik.batches.frames import FrameReader
 from lerobot_mimicik.batches.loading import FrameTable, read_batched
 from lerobot_mimicik.batches.statistics import RunningRange, iterate_frames
 from lerobot_mimicik.conditioning import CONDITIONINGS
-from lerobot_mimicik.configuration_learned import LearnedIKConfig
+from lerobot_mimicik.configuration_learned import MAX_WEIGHTS, LearnedIKConfig
 from lerobot_mimicik.ema import ExponentialAverage
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.fk_loss import fk_consistency_loss
@@ -68,6 +68,7 @@ class LearnedIKPolicy(PreTrainedPolicy):
         self._reader = FrameReader(config)
         self.conditioning = CONDITIONINGS[config.conditioning](config.dof)
         self.delta = MinMax(config.dof)
+        self._check_weights()
         self.network, self.objective = self.build()
         self.average = ExponentialAverage(self.network, config.ema_decay)
         self.register_buffer("training_step", torch.zeros((), dtype=torch.int64))
@@ -84,6 +85,16 @@ class LearnedIKPolicy(PreTrainedPolicy):
     @abstractmethod
     def build(self) -> tuple[nn.Module, Objective]:
         """The untrained network, and the objective that trains it; ``self.conditioning.dim`` numbers a frame go in."""
+
+    def _check_weights(self) -> None:
+        """Refuses a network that would not fit into memory, before any is taken."""
+        with torch.device("meta"):
+            network, _ = self.build()
+        weights = sum(parameter.numel() for parameter in network.parameters())
+        if weights > MAX_WEIGHTS:
+            raise ValueError(
+                f"the configuration asks for a network of {weights:,} weights: expected at most {MAX_WEIGHTS:,}"
+            )
 
     @property
     def arm(self) -> SerialArm:

@@ -26,6 +26,11 @@ CONFIGS = Path(__file__).parent.parent / "configs"
         ({"fk_position_scale": 0.0}, "fk_position_scale=0"),
         ({"t_star": 1.0}, "t_star=1"),
         ({"tip_link": "nowhere"}, "nowhere"),
+        ({"n_obs_steps": 100_000}, "n_obs_steps=100000: expected 1 to 100"),
+        ({"n_layers": 10**9}, "n_layers=1000000000: expected 1 to 256"),
+        ({"n_obs_steps": None}, "n_obs_steps=None: expected a whole number"),
+        ({"fk_weight": float("nan")}, "fk_weight=nan: expected a number"),
+        ({"clip_delta": "yes"}, "clip_delta='yes': expected true or false"),
     ],
 )
 def test_impossible_settings_name_themselves(options, message):
@@ -101,3 +106,45 @@ def test_ablations_are_one_flag(name):
         assert changed.policy.fk_weight == fk_weight
         changed.policy.fk_weight = reference.policy.fk_weight
         assert changed == reference
+
+
+@pytest.mark.parametrize(
+    ("argument", "reason"),
+    [
+        ("--policy.joint_units=degrees", "joint_units='degrees': expected one of rad, deg"),
+        ("--policy.urdf=franka", r"'franka' is neither a shipped arm \(airbot_play"),
+        ("--policy.device=gpu", "Unknown device gpu"),
+        ("--policy.d_model=250", "multiple of 4"),
+        ("--policy.n_obs_steps=100000", "expected 1 to 100"),
+    ],
+)
+def test_lerobot_train_tells_why_a_value_is_refused(argument, reason):
+    with pytest.raises(draccus.utils.DecodingError, match=reason):  # LeRobot prints its text
+        parse("small.json", argument)
+
+
+def test_a_checkpoint_tells_why_its_configuration_is_refused(tmp_path):
+    MimicIKConfig(device="cpu").save_pretrained(tmp_path)
+    file = tmp_path / "config.json"
+    file.write_text(file.read_text().replace('"relative"', '"telepathic"'))
+    with pytest.raises(draccus.utils.DecodingError, match="conditioning='telepathic': expected one of"):
+        PreTrainedConfig.from_pretrained(tmp_path)
+
+
+def test_a_network_too_large_for_memory_is_refused_before_it_is_built():
+    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+
+    config = MimicIKConfig(device="cpu", d_model=8192, d_ff=65_536, n_layers=4)
+    with pytest.raises(ValueError, match=r"a network of [\d,]+ weights: expected at most 500,000,000"):
+        MimicIKPolicy(config)
+
+
+def test_an_arm_of_a_hundred_joints_is_refused():
+    joint = (
+        "<joint name='j{0}' type='revolute'><parent link='l{0}'/><child link='l{1}'/>"
+        "<limit lower='-1' upper='1'/></joint>"
+    )
+    links = "".join(f"<link name='l{i}'/>" for i in range(101))
+    urdf = f"<robot name='r'>{links}{''.join(joint.format(i, i + 1) for i in range(100))}</robot>"
+    with pytest.raises(ValueError, match="100 joints: expected at most 32"):
+        MimicIKConfig(device="cpu", urdf=urdf)

@@ -1,6 +1,7 @@
 """The AIRBOT Play as LeRobot robots: features, units, limits, two arms, cameras, and errors that name the thing."""
 
 import base64
+import importlib
 import json
 import logging
 import threading
@@ -9,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import cv2
+import draccus
 import lerobot_policy_mimicik  # noqa: F401 - registers the robots, as LeRobot's commands do
 import numpy as np
 import pytest
@@ -121,6 +123,34 @@ def test_a_jump_is_refused_and_reported_or_walked_to(connected, caplog):
     before = robot.get_observation()["joint1.pos"]
     sent = [robot.send_action(far)["joint1.pos"] for _ in range(1)]
     assert sent[0] - before == pytest.approx(0.05, abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["airbot_play", "--robot.joint_units=degrees"], "joint_units='degrees': expected 'rad' or 'deg'"),
+        (
+            ["airbot_play_ee", "--robot.rotation=rot6d"],
+            "'rot6d' is no pose format: expected one of quaternion, ",
+        ),
+        (["airbot_play_ee", "--robot.ik.max_step=-1"], "max_step must be finite and positive"),
+        (["airbot_play_ee", "--robot.tool=[0,0,0]"], r"tool=\[0.0, 0.0, 0.0\]: expected poses of 7 numbers"),
+        (
+            ["bi_airbot_play", "--robot.left.max_relative_target=9"],
+            "max_relative_target=9.0: expected more than 0",
+        ),
+        (["bi_airbot_play_ee", "--robot.ik.reference=felt"], "reference='felt': expected"),
+    ],
+)
+@pytest.mark.parametrize(
+    "command", ["lerobot_rollout:RolloutConfig", "lerobot_teleoperate:TeleoperateConfig"]
+)
+def test_lerobot_commands_tell_why_a_robots_option_is_refused(command, arguments, reason):
+    script, name = command.split(":")
+    config = getattr(importlib.import_module(f"lerobot.scripts.{script}"), name)
+    teleoperator = ["--teleop.type=recorded_motion"] if script == "lerobot_teleoperate" else []
+    with pytest.raises(draccus.utils.DecodingError, match=reason):  # LeRobot prints its text
+        draccus.parse(config, args=[f"--robot.type={arguments[0]}", *arguments[1:], *teleoperator])
 
 
 def test_errors_name_the_thing(connected, tmp_path):

@@ -24,6 +24,7 @@ class MLPConfig(LearnedIKConfig):
     hidden_dim: int = 512
     n_layers: int = 4
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_at_least_one("hidden_dim", "n_layers")
+    def check(self) -> None:
+        """As `LearnedIKConfig.check`."""
+        super().check()
+        self.check_sizes(hidden_dim=65_536, n_layers=256)

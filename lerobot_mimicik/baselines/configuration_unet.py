@@ -34,17 +34,22 @@ class UNetConfig(LearnedIKConfig):
     # Width of the embedded time and of the encoded observations, each.
     condition_dim: int = 128
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_at_least_one("train_timesteps", "inference_steps", "kernel_size", "n_groups")
+    def check(self) -> None:
+        """As `LearnedIKConfig.check`."""
+        super().check()
+        self.check_sizes(train_timesteps=10_000, inference_steps=10_000, kernel_size=63, n_groups=1024)
         if self.inference_steps > self.train_timesteps:
             raise ValueError(
                 f"inference_steps={self.inference_steps}: expected at most "
                 f"train_timesteps={self.train_timesteps}"
             )
-        if not self.channels or any(width < 1 or width % self.n_groups for width in self.channels):
-            raise ValueError(f"channels={self.channels}: expected multiples of n_groups={self.n_groups}")
+        if not 1 <= len(self.channels) <= 16 or any(
+            not 1 <= width <= 8192 or width % self.n_groups for width in self.channels
+        ):
+            raise ValueError(
+                f"channels={self.channels}: expected 1 to 16 multiples of n_groups={self.n_groups}, up to 8192"
+            )
         if self.kernel_size % 2 == 0:
             raise ValueError(f"kernel_size={self.kernel_size}: expected an odd number")
-        if self.condition_dim < 4 or self.condition_dim % 2:
-            raise ValueError(f"condition_dim={self.condition_dim}: expected an even number of at least 4")
+        if not 4 <= self.condition_dim <= 8192 or self.condition_dim % 2:
+            raise ValueError(f"condition_dim={self.condition_dim}: expected an even number from 4 to 8192")

@@ -29,6 +29,10 @@ class PoseFormat(enum.StrEnum):
     ROTATION_6D = "rotation_6d"
     ROTATION_6D_ROWS = "rotation_6d_rows"
 
+    @classmethod
+    def _missing_(cls, value: object) -> None:
+        _refuse_choice(cls, value, "pose format")
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the numbers."""
@@ -58,6 +62,14 @@ class PoseReference(enum.StrEnum):
     ABSOLUTE = "absolute"
     TOOL = "tool"
     BASE = "base"
+
+    @classmethod
+    def _missing_(cls, value: object) -> None:
+        _refuse_choice(cls, value, "pose reference")
+
+
+def _refuse_choice(choices: type[enum.StrEnum], value: object, what: str) -> None:
+    raise ValueError(f"{value!r} is no {what}: expected one of {', '.join(choices)}")
 
 
 def encode_pose(pose: ArrayLike, form: PoseFormat) -> Array:

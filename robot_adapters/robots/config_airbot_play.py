@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from lerobot.cameras import CameraConfig
 from lerobot.robots.config import RobotConfig
 
-from lerobot_mimicik.kinematics.poses import PoseFormat
+from lerobot_mimicik.configuration_reasons import reasons_for_users
+from lerobot_mimicik.kinematics.poses import PolicyFrames, PoseFormat
 from robot_adapters.ik_options import IKOptions
 
 
@@ -31,10 +32,13 @@ class AirbotConnection:
     real_time: bool = True
 
     def __post_init__(self) -> None:
-        if self.joint_units not in ("rad", "deg"):
-            raise ValueError(f"joint_units={self.joint_units!r}: expected 'rad' or 'deg'")
-        if self.max_relative_target is not None and not 0 < self.max_relative_target <= 0.5:
-            raise ValueError(f"max_relative_target must lie in (0, 0.5] rad, got {self.max_relative_target}")
+        with reasons_for_users():
+            if self.joint_units not in ("rad", "deg"):
+                raise ValueError(f"joint_units={self.joint_units!r}: expected 'rad' or 'deg'")
+            if self.max_relative_target is not None and not 0 < self.max_relative_target <= 0.5:
+                raise ValueError(
+                    f"max_relative_target={self.max_relative_target}: expected more than 0, at most 0.5 rad"
+                )
 
 
 @RobotConfig.register_subclass("airbot_play")
@@ -46,7 +50,8 @@ class AirbotPlayConfig(AirbotConnection, RobotConfig):
 
     def __post_init__(self) -> None:
         AirbotConnection.__post_init__(self)
-        RobotConfig.__post_init__(self)
+        with reasons_for_users():
+            RobotConfig.__post_init__(self)
 
 
 @RobotConfig.register_subclass("airbot_play_ee")
@@ -65,7 +70,7 @@ class AirbotPlayEEConfig(AirbotPlayConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        PoseFormat(self.rotation)
+        _check_end_effector(self.ik, self.rotation, self.tool)
 
 
 @dataclass
@@ -95,4 +100,18 @@ class BiAirbotPlayEEConfig(BiAirbotPlayConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        PoseFormat(self.rotation)
+        _check_end_effector(self.ik, self.rotation, self.tool)
+
+
+def _check_end_effector(ik: IKOptions, rotation: str, tool: list[float]) -> None:
+    with reasons_for_users():
+        ik.settings()
+        try:
+            PoseFormat(rotation)
+        except ValueError as error:
+            raise ValueError(f"rotation={rotation!r}: {error}") from error
+        if tool:
+            try:
+                PolicyFrames(tool=tool)
+            except ValueError as error:
+                raise ValueError(f"tool={tool}: {error}") from error
