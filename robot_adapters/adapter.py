@@ -1,4 +1,4 @@
-"""MimicIKAdapter: end-effector targets in, bounded joint commands out, with a word on what became of each.
+"""MimicIKAdapter: end-effector targets in, bounded joint commands out, each with a status.
 
 target T_base_tool ──> at most one step's worth of the way ──> solver ──> at most one joint step ──> q
                                                                   └── FK(q) against the target ──> status
@@ -7,7 +7,8 @@ target T_base_tool ──> at most one step's worth of the way ──> solver �
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, fields
+import threading
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +19,12 @@ from lerobot_mimicik.guidance.approach import towards
 from lerobot_mimicik.guidance.branches import BranchChange
 from lerobot_mimicik.guidance.closest import closest_configuration
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.plausibility import joint_limits, why_not_joints, why_not_order, why_not_poses
 from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.kinematics.poses import PolicyFrames, decode_pose, pose_distance
 from lerobot_mimicik.kinematics.poses import PoseFormat as PoseFormat
 from lerobot_mimicik.solvers.base import IKSolver
+from robot_adapters.arrays import float_array
 
 if TYPE_CHECKING:
     from robot_adapters.end_effector_policy import EndEffectorPolicy
@@ -33,18 +36,28 @@ Array = NDArray[np.float64]
 class IKStatus(enum.StrEnum):
     """What became of a target.
 
-    REACHED: the command reaches it within the tolerances. RELAXED: it is in reach, and the command comes
-    near it. LIMITED: it is in reach, but further away than one step; the command is a step towards it, or
-    towards another configuration from which it can be followed.
-    UNREACHABLE: no configuration around the present one reaches it; the command goes towards the closest.
-    FAILED: the target or the solver's answer was not finite, or the solver gave up; the command holds.
+    REACHED: the command meets it within the tolerances, whoever found the command; a command that meets its
+    target has no other status, but for FAILED.
+    INEXACT (once called RELAXED, which still names it): it is in reach within one step, and the command comes
+    near it.
+    LIMITED: it is in reach, but further away than one step; the command is a step towards it, or towards
+    another configuration from which it can be followed.
+    UNREACHABLE: it cannot be reached from here: no configuration around the present one meets it, and the
+    command goes towards the closest. One far away may: this is no statement about the whole workspace.
+    FAILED: the target is no pose or cannot be one of this arm, or the solver raised an error or answered
+    with no joints; the command holds.
     """
 
     REACHED = "reached"
-    RELAXED = "relaxed"
+    INEXACT = "inexact"
     LIMITED = "limited"
     UNREACHABLE = "unreachable"
     FAILED = "failed"
+    RELAXED = INEXACT  # the former name
+
+    @classmethod
+    def _missing_(cls, value: object) -> IKStatus | None:
+        return cls.INEXACT if value == "relaxed" else None
 
 
 @dataclass(frozen=True)
@@ -52,9 +65,11 @@ class IKResult:
     """The answer to one target.
 
     Attributes:
-        q: joint command [rad], (dof,), never further than the settings' `max_step` from where it started.
+        q: joint command [rad], (dof,), never further than the settings' `max_step` from where it started; the
+            caller's own.
         status: what became of the target.
-        position_error, rotation_error: between FK(q) and the target [m, rad]; NaN without a finite target.
+        position_error, rotation_error: between FK(q) and the target [m, rad]; NaN where the target is no pose
+            of this arm.
         step: largest joint motion of the command [rad].
         source: who found the command: the solver, the descent to the closest configuration, the change to
             another branch, or hold.
@@ -116,7 +131,8 @@ class AdapterSettings:
 class MimicIKAdapter:
     """One arm's inverse kinematics as a controller needs it: stateful, bounded, and honest about the rest.
 
-    Works with any `IKSolver`; `from_pretrained` makes it of a MimicIK checkpoint.
+    Works with any `IKSolver`; `from_pretrained` makes it of a MimicIK checkpoint. One adapter drives one arm.
+    Calls from several threads are answered one after another, each from the command in force by then.
     """
 
     def __init__(
@@ -125,11 +141,12 @@ class MimicIKAdapter:
         """`solver` answers for the arm of `description`; ValueError for settings that fit neither."""
         self.solver, self.description = solver, description
         self.settings = settings or AdapterSettings()
-        self._lower_step, self._upper_step = _step_range(self.settings, solver)
         self.chain = point_chain(description)
-        joints = description.joints()
-        self.lower, self.upper = (np.array([getattr(j, side) for j in joints]) for side in ("lower", "upper"))
+        self.lower, self.upper = joint_limits(description)
+        self._lower_step, self._upper_step = _step_range(self.settings, solver)
+        self._lock = threading.RLock()
         self._command: Array | None = None
+        self._solver_knows = False  # whether the solver's history ends at the command in force
         self._branch = BranchChange(
             self.chain,
             self.lower,
@@ -162,6 +179,14 @@ class MimicIKAdapter:
         adapter.warm_up()
         return adapter
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the lock: a copy for another process has its own."""
+        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.RLock()
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, in the order of every q here."""
@@ -177,19 +202,27 @@ class MimicIKAdapter:
         """
         middle = np.clip((self.lower + self.upper) / 2, -np.pi, np.pi)
         middle = np.where(np.isfinite(middle), middle, 0.0)
-        for _ in range(_WARM_UP):
-            self.solve(middle, self.forward(middle))
-        self.reset()
+        with self._lock:
+            for _ in range(_WARM_UP):
+                self.solve(middle, self.forward(middle))
+            self.reset()
 
     def reset(self) -> None:
         """Forget the past: call it when a motion starts anew."""
-        self._command = None
-        self._branch.cancel()
+        with self._lock:
+            self._command = None
+            self._branch.cancel()
 
     def commanded(self, q: ArrayLike) -> None:
-        """Say what was really sent [rad] (dof,), where a safety layer changed or refused the last command."""
-        if self._command is not None:
-            self._command = np.asarray(q, dtype=float).copy()
+        """Say what was really sent [rad] (dof,), where a safety layer changed or refused the last command.
+
+        Raises:
+            ValueError: wrong shape, or not finite.
+        """
+        sent = self._joints(q, "the commanded joints")
+        with self._lock:
+            if self._command is not None:
+                self._command = sent
 
     def solve(self, q: ArrayLike, ee_target: ArrayLike) -> IKResult:
         """The next joint command on the way to a target.
@@ -199,27 +232,21 @@ class MimicIKAdapter:
             ee_target: `T_base_tool` to reach, (7,), quaternion of any length but zero.
 
         Raises:
-            ValueError: wrong shapes, or measured joints that are not finite. Everything else is in the
-                result.
+            ValueError: wrong shapes, or measured joints that are not finite or so far outside their limits
+                that they are no joints of this arm in rad. Everything else is in the result.
         """
-        measured, target = np.asarray(q, dtype=float), np.asarray(ee_target, dtype=float)
-        if measured.shape != self.lower.shape:
-            names = ", ".join(self.joint_names)
-            raise ValueError(f"expected {len(self.lower)} joints ({names}), got shape {measured.shape}")
+        measured = self._joints(q, "the measured joints")
+        reason = why_not_joints(self.description, measured)
+        if reason is not None:
+            raise ValueError(f"the measured joints: {reason}. Expected rad, or m where a joint slides")
+        target = _numbers(ee_target, "the target")
         if target.shape != (7,):
             raise ValueError(f"expected a target pose x y z qx qy qz qw, got shape {target.shape}")
-        if not np.isfinite(measured).all():
-            raise ValueError(f"the measured joints are not finite: {measured.tolist()}")
-        start = self._start(measured)
-        try:
-            if not np.isfinite(target).all():
-                raise ValueError(f"the target is not finite: {target.tolist()}")
-            target = decode_pose(target, PoseFormat.QUATERNION)
-        except ValueError as error:
-            return self._held(start, str(error))
-        result = self._solve(start, target)
-        self._command = result.q
-        return result
+        with self._lock:
+            start = self._start(measured)
+            result = self._answer(start, target)
+            self._command = result.q.copy()
+            return result
 
     def wrap(self, policy: Any, frames: PolicyFrames | None = None, **options: Any) -> EndEffectorPolicy:
         """A joint-space policy made of one that yields end-effector poses.
@@ -234,20 +261,70 @@ class MimicIKAdapter:
 
         return EndEffectorPolicy(self, policy, frames or PolicyFrames(), **options)
 
+    def _joints(self, q: ArrayLike, what: str) -> Array:
+        """Finite joints (dof,), a copy; ValueError for others."""
+        joints = _numbers(q, what)
+        if joints.shape != self.lower.shape:
+            names = ", ".join(self.joint_names)
+            raise ValueError(f"{what}: expected {len(self.lower)} joints ({names}), got shape {joints.shape}")
+        if not np.isfinite(joints).all():
+            raise ValueError(f"{what} are not finite: {joints.tolist()}")
+        return joints
+
     def _start(self, measured: Array) -> Array:
-        """Joints that this step starts from; a solver that remembers is told when they jump."""
-        settings, known = self.settings, self._command is not None
-        if self._command is not None and np.abs(self._command - measured).max() > settings.resync:
-            self._command, known = None, False
-        if not known:
-            self._restart(measured)
-        if self._command is None or settings.reference == "measured":
+        """Joints that this step starts from."""
+        if self._command is not None and np.abs(self._command - measured).max() > self.settings.resync:
+            self._command = None
+        if self._command is None:
+            self._solver_knows = False
+        if self._command is None or self.settings.reference == "measured":
             return measured
         return self._command
 
+    def _answer(self, start: Array, target: Array) -> IKResult:
+        """`_solve` for any seven numbers and any solver."""
+        try:
+            if not np.isfinite(target).all():
+                raise ValueError(f"the target is not finite: {target.tolist()}")
+            target = decode_pose(target, PoseFormat.QUATERNION)
+            reason = why_not_poses(self.description, target)
+            if reason is not None:
+                raise ValueError(f"the target: {reason}")
+        except ValueError as error:
+            return self._held(start, str(error))
+        try:
+            if self._solver_knows:
+                return self._solve(start, target)
+            self._restart(start)
+            result = self._solve(start, target)
+        # Solvers are anybody's: whatever they raise, the arm holds, and they begin anew with the next target.
+        except Exception as error:
+            self._solver_knows = False
+            reason = str(error) or type(error).__name__
+            return self._held(start, f"{self.solver.name}: {reason}", target)
+        # Motions start near the tool: the first target tells most about its quaternion.
+        hint = why_not_order(self.description, start[None], target[None])
+        return result if hint is None else replace(result, message=f"{result.message}; {hint}")
+
     def _restart(self, q: Array) -> None:
-        self.solver.reset(q[None] if self.solver.batched else q)
+        """The solver begins anew at `q` (dof,): its history is of another motion, or lost."""
         self._branch.cancel()
+        self.solver.reset(q[None].copy() if self.solver.batched else q.copy())
+        self._lower_step, self._upper_step = _step_range(self.settings, self.solver)
+        self._solver_knows = True
+
+    def _ask(self, start: Array, target: Array) -> Array:
+        """The solver's joints (dof,), finite; whatever it raises, and TypeError or ValueError for others."""
+        if self.solver.batched:
+            answer = float_array(self.solver.solve(start[None].copy(), target[None].copy()))
+            answer = answer[0] if len(answer) == 1 else answer
+        else:
+            answer = float_array(self.solver.solve(start.copy(), target.copy()))
+        if answer.shape != start.shape:
+            raise ValueError(f"answered with shape {answer.shape}, expected {len(start)} joints")
+        if not np.isfinite(answer).all():
+            raise ValueError(f"answered {answer.tolist()}")
+        return answer
 
     def _solve(self, start: Array, target: Array) -> IKResult:
         settings = self.settings
@@ -256,19 +333,10 @@ class MimicIKAdapter:
             return self._changing(start, goal, target)
         here = self.forward(start)
         waypoint, share = towards(here, target, self._lower_step, self._upper_step)
-        try:
-            if self.solver.batched:
-                answer = self.solver.solve(start[None], waypoint[None])[0]
-            else:
-                answer = self.solver.solve(start, waypoint)
-        except (ArithmeticError, RuntimeError, ValueError, TimeoutError) as error:
-            return self._held(start, f"{self.solver.name}: {error}", target)
-        if not np.isfinite(answer).all():
-            return self._held(start, f"{self.solver.name} answered {answer.tolist()}", target)
-        q, cut = self._within_a_step(start, answer)
+        q, cut = self._within_a_step(start, self._ask(start, waypoint))
         errors = pose_distance(self.forward(q), target)
         if self._is_reached(errors):
-            return IKResult(q, IKStatus.REACHED, *errors, _step(start, q), self.solver.name)
+            return self._judged(start, q, IKStatus.REACHED, target, self.solver.name, "")
         # From where the arm is, not from the answer: so that it comes to rest where it can get no closer.
         closest = closest_configuration(self.chain, self.lower, self.upper, start, target)
         best = pose_distance(self.forward(closest), target)
@@ -278,7 +346,7 @@ class MimicIKAdapter:
             if goal is not None:
                 return self._changing(start, goal, target)
             # What a network says about poses outside its training is no guide to the edge of the workspace.
-            message = f"the closest that the arm comes to is {best[0] * 1e3:.1f} mm, {best[1]:.3f} rad off"
+            message = f"from here the arm comes no closer than {best[0] * 1e3:.1f} mm, {best[1]:.3f} rad"
             return self._judged(start, other, IKStatus.UNREACHABLE, target, "descent", message)
         far = share < 1.0 or cut
         if far:
@@ -287,7 +355,7 @@ class MimicIKAdapter:
             aimed_at = before - self._cost(pose_distance(waypoint, target))
             stalled = before - self._cost(errors) < 0.5 * aimed_at
         else:
-            status, message = IKStatus.RELAXED, "in reach, and missed by the solver"
+            status, message = IKStatus.INEXACT, "in reach, and missed by the solver"
             stalled = errors[0] > settings.relaxed_position or errors[1] > settings.relaxed_rotation
         if stalled:
             return self._judged(start, other, status, target, "descent", message)
@@ -304,14 +372,15 @@ class MimicIKAdapter:
     def _judged(
         self, start: Array, q: Array, status: IKStatus, target: Array, source: str, message: str
     ) -> IKResult:
+        """The result of a command `q`, which is REACHED where it meets the target, whatever was expected."""
         errors = pose_distance(self.forward(q), target)
-        return IKResult(q, status, *errors, _step(start, q), source, message)
+        if self._is_reached(errors):
+            status, message = IKStatus.REACHED, ""
+        return IKResult(q.copy(), status, *errors, _step(start, q), source, message)
 
     def _held(self, start: Array, message: str, target: Array | None = None) -> IKResult:
-        q = np.clip(start, np.minimum(self.lower, start), np.maximum(self.upper, start))
-        errors = (np.nan, np.nan) if target is None else pose_distance(self.forward(q), target)
-        self._command = q
-        return IKResult(q, IKStatus.FAILED, *errors, 0.0, "hold", message)
+        errors = (np.nan, np.nan) if target is None else pose_distance(self.forward(start), target)
+        return IKResult(start.copy(), IKStatus.FAILED, *errors, 0.0, "hold", message)
 
     def _within_a_step(self, start: Array, q: Array) -> tuple[Array, bool]:
         """The command on the straight way to `q` that moves no joint further than allowed, and whether that
@@ -335,13 +404,20 @@ def _step(start: Array, q: Array) -> float:
     return float(np.abs(q - start).max())
 
 
+def _numbers(values: ArrayLike, what: str) -> Array:
+    """A copy as floats; ValueError for what holds none."""
+    try:
+        return float_array(values)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{what}: {error}") from error
+
+
 def _step_range(settings: AdapterSettings, solver: IKSolver) -> tuple[Array, Array]:
     """Smallest and largest pose step (6,) [m, rad] that the solver is asked for at once."""
     largest = np.array([settings.max_translation] * 3 + [settings.max_rotation] * 3)
-    relative = getattr(getattr(getattr(solver, "policy", None), "conditioning", None), "relative", None)
-    if relative is None:
+    if solver.step_range is None:
         return -largest, largest
-    lower, upper = (bound.double().cpu().numpy() for bound in (relative.lower, relative.upper))
+    lower, upper = solver.step_range
     # An axis that training left out must not keep targets from being approached at all.
     least = 0.1 * largest
     return -np.clip(-lower, least, largest), np.clip(upper, least, largest)

@@ -102,6 +102,9 @@ def decode_pose(numbers: ArrayLike, form: PoseFormat) -> Array:
             f"expected poses of {form.width} numbers ({' '.join(form.names)}), got shape {numbers.shape}"
         )
     rest = numbers[..., 3:].reshape(-1, form.width - 3)
+    if form is not PoseFormat.ROTATION_VECTOR:
+        # Only directions count, and squares of huge numbers overflow.
+        rest = rest / np.maximum(1.0, np.abs(rest).max(axis=-1, keepdims=True))
     if form is PoseFormat.ROTATION_VECTOR:
         rotation = Rotation.from_rotvec(rest)
     elif form is PoseFormat.QUATERNION:

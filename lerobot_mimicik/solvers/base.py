@@ -37,6 +37,14 @@ class IKSolver(ABC):
     batched: bool = False
     configuration: ClassVar[str] = ""
 
+    @property
+    def step_range(self) -> tuple[Array, Array] | None:
+        """Smallest and largest step (6,) [m, rad] from the present pose to the target that it answers well.
+
+        Translation and rotation vector of R_target R_now^T, in the base frame; None: any step.
+        """
+        return None
+
     @abstractmethod
     def reset(self, q: Array) -> None:
         """Forget all history; the arm is at rest at ``q`` (dof,), or (B, dof) where ``batched``, in rad."""

@@ -64,6 +64,18 @@ class MimicIKSolver(IKSolver):
         self._q: Array | None = None
         self._target: Array | None = None
 
+    @property
+    def step_range(self) -> tuple[Array, Array] | None:
+        """The steps that the policy saw in training; None where it was not conditioned on them."""
+        relative = getattr(self.policy.conditioning, "relative", None)
+        if relative is None:
+            return None
+        return relative.lower.double().cpu().numpy(), relative.upper.double().cpu().numpy()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the traced network, which does not pickle; it is traced again when asked."""
+        return self.__dict__ | {"_traced": None}
+
     def reset(self, q: Array) -> None:
         """Forget the history; the next ``solve`` starts a new one."""
         self._q = None
