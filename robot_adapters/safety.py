@@ -97,6 +97,15 @@ class MotorFault(SafetyEvent):
     remedy = "clear the cause, then reconnect; if it returns, power the arm off and on"
 
 
+class ForeignMaster(SafetyEvent):
+    """Somebody else commands the motors; the arm stops, or is not started."""
+
+    remedy = (
+        "end the other program that uses this bus, then reconnect (OD motors set to report by themselves look "
+        "the same: set them to answer)"
+    )
+
+
 class BusOff(SafetyEvent):
     """The CAN controller has left the bus or cannot send; the arm stops."""
 

@@ -78,7 +78,7 @@ def test_replies_come_within_a_few_milliseconds_and_in_order(bench):
 @settings(max_examples=300, deadline=None)
 def test_no_frame_upsets_the_arm(arbitration_id, data):
     arm = test_no_frame_upsets_the_arm.arm
-    arm._hear(
+    arm.hear(
         can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False), arm.clock.monotonic()
     )
 

@@ -15,13 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from robot_adapters.airbot.gripper import opening_from_motor_angle
-from robot_adapters.airbot.protocol import Tool
+from robot_adapters.airbot.protocol import Tool, all_motors
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import ArmIdentity, bring_up, identify, release
 from robot_adapters.can import real_time
 from robot_adapters.can.bus import BusError, open_bus, unread
 from robot_adapters.can.control import ArmMode, ControlLoop
 from robot_adapters.can.gravity import GravityModel
+from robot_adapters.can.one_master import find_master
 from robot_adapters.can.statistics import DriverStatistics
 from robot_adapters.clock import Clock, RealClock, Schedule, SimulatedClock
 from robot_adapters.safety import (
@@ -134,15 +135,21 @@ class AirbotArm:
     def connect(self) -> ArmIdentity:
         """Open the bus, identify and enable the motors, and hold the measured position; who is on the bus.
 
-        Raises BusError, NoAnswerError, RangeError, or StartRefusedError for an arm that stands outside its
-        joint limits or reports no position; the bus is then closed again. Connecting twice is harmless.
+        Raises BusError, NoAnswerError, RangeError, or StartRefusedError for an arm that somebody else commands,
+        that stands outside its joint limits or reports no position; the bus is then closed again. Nothing is
+        sent before the driver has listened for another master. Connecting twice is harmless.
         """
         if self._loop is not None and self.identity is not None:
             return self.identity
+        self.identity = None  # until the motors are ours: `close` then has none to release
         self._bus = open_bus(self.interface, self.channel, **self._bus_options)
         try:
-            self.identity = identify(self._bus, self.clock, self.settings)
-            self._check_start([motor.position for motor in self.identity.motors])
+            other = find_master(self._bus, self.clock, all_motors(), self.settings.listen)
+            if other is not None:
+                raise StartRefusedError(other)
+            identity = identify(self._bus, self.clock, self.settings)
+            self._check_start([motor.position for motor in identity.motors])
+            self.identity = identity
             positions = bring_up(self._bus, self.clock, self.identity, self.settings)
             self._check_start(positions)
             self._loop = self._make_loop(self._bus, self.identity, positions)

@@ -32,6 +32,10 @@ OD_ERRORS = {
 }
 
 
+# The frames to this id: motor id (two bytes, big-endian), 0, then for example 0x03, which sets the zero.
+_CONFIGURATION_ID = 0x7FF
+
+
 class OdRegister(enum.IntEnum):
     """Registers of an OD motor; those above 0x80 answer in one frame from the motor's own id."""
 
@@ -136,6 +140,42 @@ class OdMotor:
         temperature = min(max(round(feedback.motor_temperature * 2 + 50), 0), 255)
         head = bytes([0x20 | feedback.error & 0x1F])
         return frame(self.id, head + bits.to_bytes(5, "big") + bytes([temperature]))
+
+    @property
+    def answer_id(self) -> int:
+        """Id of the frames with which the motor answers commands: that of the commands."""
+        return self.id
+
+    @property
+    def order_ids(self) -> tuple[int, ...]:
+        """Ids of the frames that may tell the motor to do something."""
+        return self.id, 0x80 | self.id, _CONFIGURATION_ID
+
+    def order(self, message: can.Message) -> str | None:
+        """What a frame tells the motor to do, in words; None when it leaves the motor as it is.
+
+        Commands of its velocity and current modes have the length of an answer. A damaged answer must not be
+        taken for one, so that they are none here.
+        """
+        data = payload(message)
+        if data is None:
+            return None
+        if message.arbitration_id == 0x80 | self.id and len(data) >= 3:
+            return f"write of register 0x{data[0]:02X}"
+        if (
+            message.arbitration_id == _CONFIGURATION_ID
+            and data[:3] == bytes([0, self.id, 0])
+            and len(data) >= 4
+        ):
+            return f"configuration frame 0x{data[3]:02X}"
+        if message.arbitration_id != self.id or len(data) not in (6, 8):
+            return None
+        kind = data[0] >> 5
+        if len(data) == 6:
+            return "configuration frame" if kind == 6 else None
+        if kind == 0:
+            return "MIT command"
+        return "position-velocity command" if kind == 1 and data[7] & 3 == 1 else None
 
     def request(self, register: int) -> can.Message:
         """The frame that asks for a register; the answer is a `ParameterReply`."""

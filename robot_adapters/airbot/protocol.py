@@ -33,6 +33,7 @@ __all__ = [
     "ParameterReply",
     "ParameterRequest",
     "Tool",
+    "all_motors",
     "error_name",
     "motor_angle_from_opening",
     "opening_from_motor_angle",
@@ -40,6 +41,11 @@ __all__ = [
 
 Motor = OdMotor | DmMotor
 OD_JOINTS, DM_JOINTS, GRIPPER_ID = (1, 2, 3), (4, 5, 6), 7
+
+
+def all_motors() -> list[Motor]:
+    """Codecs of every motor that an arm may have, with documented ranges."""
+    return [*(OdMotor(i) for i in OD_JOINTS), *(DmMotor(i) for i in (*DM_JOINTS, GRIPPER_ID))]
 
 
 def error_name(motor: Motor, code: int) -> str | None:

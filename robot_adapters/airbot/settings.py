@@ -18,10 +18,11 @@ class AirbotSettings:
     kp, kd: MIT gains per joint [Nm/rad, Nm s/rad]. rate: control frequency [Hz]. velocity_feedforward: share
     of the interpolated velocity that is commanded along with the position. gravity: in the base frame
     [m/s^2]. gravity_factors: motor torque per joint torque; None reads them from the base board. tool: None
-    asks the end board. gripper_speed: of the gripper's opening [m/s]. limits: of the safety gate.
-    motor_ranges: (pos_max [rad], vel_max [rad/s], torque_max [Nm]) by id of a DM motor that is not the arm's
-    usual type. shutdown: seconds each phase of the soft shutdown takes. final_damping: of the joints when all
-    else is off [Nm s/rad].
+    asks the end board. gripper_speed: of the gripper's opening [m/s]. limits: of the safety gate. listen: how
+    long the driver listens for another master before it sends anything [s]; the slowest that can keep motors
+    with a timeout of half a second going sends at 2 Hz. motor_ranges: (pos_max [rad], vel_max [rad/s],
+    torque_max [Nm]) by id of a DM motor that is not the arm's usual type. shutdown: seconds each phase of the
+    soft shutdown takes. final_damping: of the joints when all else is off [Nm s/rad].
     """
 
     kp: tuple[float, ...] = (100.0, 100.0, 100.0, 20.0, 20.0, 20.0)
@@ -35,6 +36,7 @@ class AirbotSettings:
     gravity_factors: tuple[float, ...] | None = None
     tool: Tool | None = None
     limits: SafetyLimits = field(default_factory=SafetyLimits)
+    listen: float = 0.6
     motor_ranges: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
     shutdown: float = 0.4
     final_damping: tuple[float, ...] = (10.0, 10.0, 10.0, 2.0, 2.0, 2.0)

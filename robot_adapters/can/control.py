@@ -7,7 +7,8 @@ A tick is a plain call, so that a thread runs it at 250 Hz on a real clock and a
       ----------->  TRACKING  feedback older than 100 ms, arm not following  ----->  HOLD
           ^                                                                           |
           +------------------------------ target accepted ----------------------------+
-    TRACKING or HOLD  -- motor error, over-temperature, bus off, motor lost -->  STOPPED (until reconnected)
+    TRACKING or HOLD  -- motor error, over-temperature, bus off, motor lost, another
+                         master -->  STOPPED (until reconnected)
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from robot_adapters.can.bus import BusError, reports_bus_off, send
 from robot_adapters.can.feedback import FeedbackTable
 from robot_adapters.can.gravity import GravityModel
 from robot_adapters.can.interpolation import Interpolator
+from robot_adapters.can.one_master import MasterWatch
 from robot_adapters.can.statistics import Recorder
 from robot_adapters.clock import Clock
 from robot_adapters.safety import (
@@ -98,6 +100,7 @@ class ControlLoop:
         gripper_speed = motor_speed_from_opening_speed(settings.gripper_speed)
         self._gripper = None if gripper_angle is None else Interpolator([gripper_angle], gripper_speed)
         self._decoders = _decoders(motors)
+        self._masters = MasterWatch(motors)
         self._target_stamp = clock.monotonic()
         self._had_target = False
         self._started = clock.monotonic()
@@ -201,6 +204,9 @@ class ControlLoop:
             if reports_bus_off(message):
                 self.stop(BusOff("the CAN controller reports that it is off the bus"))
                 continue
+            other = self._masters.heard(message)
+            if other is not None:
+                self.stop(other)
             motor = self._decoders.get(message.arbitration_id)
             reply = motor.decode(message) if motor else None
             if isinstance(reply, MotorFeedback):
@@ -260,17 +266,19 @@ class ControlLoop:
             kp = self._gain_scale * settings.kp[joint]
             if self.mode is ArmMode.STOPPED and self.table.records[motor.id].trouble(self.limits):
                 dq = tau = kp = 0.0
-            failures += self._send(motor.encode_mit(q, dq, tau, kp, kd))
+            failures += self._send(motor, motor.encode_mit(q, dq, tau, kp, kd))
         if self._gripper is not None:
             angle, rate = (value.item() for value in self._gripper.sample(now))
             kp, kd = self._gain_scale * settings.gripper_kp, settings.gripper_kd
-            failures += self._send(self.motors[-1].encode_mit(angle, rate, 0.0, kp, kd))
+            gripper = self.motors[-1]
+            failures += self._send(gripper, gripper.encode_mit(angle, rate, 0.0, kp, kd))
         self._silent_ticks = self._silent_ticks + 1 if failures == len(self.motors) else 0
         if self._silent_ticks >= _SEND_FAILURES:
             self.stop(BusOff(f"no frame could be sent for {_SEND_FAILURES} ticks"))
 
-    def _send(self, message: can.Message) -> bool:
-        """Send a frame; True when that failed."""
+    def _send(self, motor: Motor, message: can.Message) -> bool:
+        """Send a frame to a motor; True when that failed."""
+        self._masters.sent(message, motor.id)
         try:
             send(self.bus, message)
         except BusError:

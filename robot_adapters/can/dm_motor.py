@@ -37,7 +37,8 @@ DM_ERRORS = {
     14: "overload",
 }
 _REQUEST_ID = 0x7FF
-_READ, _WRITE, _PING = 0x33, 0x55, 0xCC
+_READ, _WRITE, _SAVE, _PING = 0x33, 0x55, 0xAA, 0xCC
+_OTHER_MODES = (0x100, 0x200, 0x300)  # offsets of the commands of the control modes beside MIT
 MIT_MODE = 1
 
 
@@ -162,6 +163,30 @@ class DmMotor:
         if data is None or message.arbitration_id != self.id or len(data) != 8 or data[:7] != b"\xff" * 7:
             return None
         return DmLifecycle(data[7]) if data[7] in DmLifecycle.__members__.values() else None
+
+    @property
+    def answer_id(self) -> int:
+        """Id of the frames with which the motor answers commands."""
+        return 0x700 | self.id
+
+    @property
+    def order_ids(self) -> tuple[int, ...]:
+        """Ids of the frames that may tell the motor to do something."""
+        return self.id, *(offset | self.id for offset in _OTHER_MODES), _REQUEST_ID
+
+    def order(self, message: can.Message) -> str | None:
+        """What a frame tells the motor to do, in words; None when it leaves the motor as it is."""
+        data = payload(message)
+        if data is None:
+            return None
+        if message.arbitration_id == self.id and len(data) == 8:
+            action = self.decode_lifecycle(message)
+            return "MIT command" if action is None else f"{action.name} frame"
+        if message.arbitration_id in self.order_ids[1:-1] and len(data) >= 4:
+            return "command of another control mode"
+        if message.arbitration_id == _REQUEST_ID and data[:2] == bytes([self.id, 0]) and len(data) >= 4:
+            return f"write of register 0x{data[3]:02X}" if data[2] in (_WRITE, _SAVE) else None
+        return None
 
     def ping(self) -> can.Message:
         """The frame that a motor answers with its feedback without moving."""

@@ -162,7 +162,7 @@ class SimulatedArm:
         self._advance(now)
         self._go_off_or_on(now)
         while (message := self.bus.recv(0.0)) is not None:
-            self._hear(message, now)
+            self.hear(message, now)
         while self._outbox and self._outbox[0][0] <= now:
             _, _, reply = heapq.heappop(self._outbox)
             if not self.faults.bus_off(now):
@@ -192,7 +192,8 @@ class SimulatedArm:
             self.bus.send(bus_off_report())
         self._was_off = off
 
-    def _hear(self, message: can.Message, now: float) -> None:
+    def hear(self, message: can.Message, now: float) -> None:
+        """Take a frame that reaches the motors and boards now [s]."""
         for motor in self._listeners.get(message.arbitration_id, self._all_motors):
             if not self.faults.hears(motor.id, now):
                 continue
