@@ -7,6 +7,7 @@ import pytest
 from evaluation_cases import Scripted
 from teleop import write_teleop
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.cli.main import main
 from lerobot_mimicik.evaluation import training_process
 from lerobot_mimicik.evaluation.bench import LearnedRow, over_seeds
@@ -73,6 +74,7 @@ def test_the_table_has_every_row_and_says_what_is_unavailable(made):
     assert "- mlp: The paper's pure MLP" in page
     assert "recipe configs/mlp_small.json" in page
     assert "- hold: The command is the measured joints" in page
+    assert list(outputs.strangers(out)) == []
     figures = {path.name for path in (out / "figures").iterdir()}
     assert figures == {"errors_test.png", "errors_test.txt", "anatomy.png", "anatomy.txt"}
     assert {path.name for path in (out / "anatomy").iterdir()} == {"mlp.npz", "hold.npz"}

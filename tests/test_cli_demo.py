@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.cli import demo
 from lerobot_mimicik.cli.main import main
 from lerobot_mimicik.evaluation import training_process
@@ -39,6 +40,7 @@ def test_the_demo_leaves_data_checkpoint_report_and_page(made):
     assert "synthetic" in page
     curves = training_process.read_curves(output / "logs", log_freq=1)
     assert curves["loss"].steps == [1, 2, 3, 4, 5, 6]
+    assert list(outputs.strangers(output)) == []  # so that --overwrite can replace it
 
 
 def test_a_second_run_asks_what_to_do_with_the_first(made, capsys):
@@ -67,7 +69,7 @@ def test_resuming_a_finished_run_makes_the_report_anew_and_nothing_else(made):
 
 def test_a_folder_of_somebody_else_is_never_overwritten(tmp_path):
     (tmp_path / "thesis.tex").write_text("x")
-    with pytest.raises(FileExistsError, match="was not made by mimicik demo"):
+    with pytest.raises(FileExistsError, match="not marked as a demo"):
         demo.run(demo.DemoConfig(output=str(tmp_path), overwrite=True))
     assert (tmp_path / "thesis.tex").is_file()
 

@@ -108,8 +108,9 @@ def test_logs_that_cannot_be_read_are_named(tmp_path, change, columns, message):
 
 
 def test_reports_do_not_call_recorded_joints_synthetic(tmp_path, capsys):
-    logged().to_parquet(tmp_path / "log.parquet")
-    arguments = ["--source=joints", f"--input={tmp_path}", f"--output={tmp_path / 'set'}"]
+    (tmp_path / "logs").mkdir()
+    logged().to_parquet(tmp_path / "logs" / "log.parquet")
+    arguments = ["--source=joints", f"--input={tmp_path / 'logs'}", f"--output={tmp_path / 'set'}"]
     assert make_dataset.main(arguments) == 0
     assert "recorded joints" in capsys.readouterr().out
     assert json.loads((tmp_path / "set/meta/joint_log.json").read_text())["files"] == ["log.parquet"]

@@ -14,7 +14,6 @@ complete one::
 from __future__ import annotations
 
 import json
-import shutil
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -22,6 +21,7 @@ from pathlib import Path
 
 import draccus
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.cli.options import bare_switches
 from lerobot_mimicik.evaluation import training_process
 
@@ -248,30 +248,30 @@ def _claim(output: Path, config: DemoConfig) -> None:
     """Make the output folder this run's, or refuse.
 
     Raises:
-        FileExistsError: If it holds something, and neither resume nor overwrite is asked for.
-        ValueError: If it holds a run with other options than those to be resumed with.
+        FileExistsError: If it holds something that may not be gone on with, or not be replaced.
+        ValueError: If an input lies in it, or it holds a run with other options than those to be resumed with.
     """
     options = {name: value for name, value in asdict(config).items() if name not in _NEW_EACH_TIME}
     state = output / _STATE
     if config.resume and config.overwrite:
         raise ValueError("--resume goes on with what is there and --overwrite replaces it: choose one.")
-    if output.exists() and any(output.iterdir()):
-        if config.overwrite:
-            if not state.is_file():
-                raise FileExistsError(f"{output} was not made by mimicik demo, so it is not overwritten.")
-            shutil.rmtree(output)
-        elif not config.resume:
+    outputs.check_apart(output, [config.input] if config.input else [])
+    if output.is_dir() and any(output.iterdir()):
+        if not config.overwrite and not config.resume:
             raise FileExistsError(
                 f"{output} exists already. --resume goes on with it, --overwrite replaces it, "
                 "--output=DIR goes elsewhere."
             )
+        if config.overwrite:
+            outputs.check_new(output, "demo", overwrite=True)
+            outputs.remove(output)
         elif state.is_file():
             before = json.loads(state.read_text())
             changed = [name for name, value in options.items() if before.get(name) != value]
             if changed:
                 found = ", ".join(f"{name}={before.get(name)!r}" for name in changed)
                 raise ValueError(f"{output} was begun with {found}: resume with that, or use --overwrite.")
-    output.mkdir(parents=True, exist_ok=True)
+    outputs.claim(output, "demo")
     state.write_text(json.dumps(options, indent=2) + "\n")
 
 

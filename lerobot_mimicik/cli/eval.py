@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import draccus
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.cli.options import join_repeated, numbers, words
 
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
 
     Raises:
         ValueError: If an option does not fit; the message names it and what exists.
+        FileExistsError: If a report is there that this project did not write.
         FileNotFoundError: If a dataset or checkpoint does not exist.
     """
     import torch
@@ -101,6 +103,7 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
             raise ValueError(f"--solvers names {learned[0]}, but --policy.path is missing: which checkpoint?")
         names = [name for name in names if name not in learned]
         learned = []
+    outputs.claim(config.out, "report")
     if config.threads:
         torch.set_num_threads(config.threads)
 

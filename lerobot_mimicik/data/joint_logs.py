@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.data.tables import TableColumns, existing, read_table, spans, table_files
 from lerobot_mimicik.data.writer import LOG_FILE, Episode, write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
@@ -86,10 +87,11 @@ def write_joint_logs(
 
     Raises:
         FileNotFoundError: nothing at `source`.
-        FileExistsError: `root` holds something already.
-        ValueError: columns that are missing, or no piece that is long enough.
+        FileExistsError: `root` holds something that may not be replaced.
+        ValueError: the source is also the output; columns that are missing, or no piece that is long enough.
     """
     columns = columns or LogColumns()
+    outputs.check_new(root, "dataset", overwrite, [source])
     files = table_files(Path(source))
     episodes = [
         episode
@@ -100,11 +102,18 @@ def write_joint_logs(
         raise ValueError(
             f"{source} holds no recording of at least {min_duration:g} s without a hole of {max_gap:g} s"
         )
-    totals = write_dataset(
-        root, f"local/{Path(root).name}", episodes, description, fps, robot_type, overwrite, space
-    )
     about = {"joints": "recorded", "files": [path.name for path in files]}
-    (Path(root) / LOG_FILE).write_text(json.dumps(about, indent=2) + "\n")
+    totals = write_dataset(
+        root,
+        f"local/{Path(root).name}",
+        episodes,
+        description,
+        fps,
+        robot_type,
+        overwrite,
+        space,
+        {LOG_FILE: json.dumps(about, indent=2) + "\n"},
+    )
     return LogSummary(Path(root), **totals)
 
 

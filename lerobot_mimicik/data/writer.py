@@ -19,14 +19,14 @@ policies ask for.
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from lerobot_mimicik import outputs
 
 if TYPE_CHECKING:
     from lerobot_mimicik.kinematics.arms import ArmDescription
@@ -98,6 +98,7 @@ def write_dataset(
     robot_type: str | None = None,
     overwrite: bool = False,
     space: str = "joints",
+    beside: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
     """Write `episodes` as a LeRobot v3 dataset that ``LeRobotDataset(repo_id, root=root)`` opens.
 
@@ -109,29 +110,23 @@ def write_dataset(
         description: the arm, stored in meta/arm.json.
         fps: frames per second.
         robot_type: LeRobot's free-form robot name, stored in meta/info.json.
-        overwrite: replace a dataset that is already at `root`.
+        overwrite: replace a dataset that is already at `root`, if this project made it and nothing else is in it;
+            see `outputs`.
         space: one of `SPACES`, that of state and action.
+        beside: text of further files by their paths below `root`.
 
     Returns:
         {"episodes": ..., "frames": ...}.
 
     Raises:
-        FileExistsError: `root` holds something already.
+        FileExistsError: `root` or `root`.writing holds something that may not be replaced.
         ValueError: no episode, or an episode with inconsistent shapes or non-finite numbers.
     """
-    root = Path(root)
-    if root.exists() and not overwrite and (not root.is_dir() or any(root.iterdir())):
-        raise FileExistsError(f"{root} exists already; choose another folder or allow it to be overwritten")
-    building = root.with_name(root.name + ".writing")
-    shutil.rmtree(building, ignore_errors=True)
-    building.mkdir(parents=True)
-    try:
-        totals = _write_files(building, repo_id, iter(episodes), description, fps, robot_type, space)
-        if root.exists():
-            shutil.rmtree(root)
-        os.replace(building, root)
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
+    outputs.check_new(root, "dataset", overwrite)
+    with outputs.building(root, "dataset") as new:
+        totals = _write_files(new, repo_id, iter(episodes), description, fps, robot_type, space)
+        for name, text in (beside or {}).items():
+            (new / name).write_text(text)
     return totals
 
 

@@ -19,6 +19,7 @@ from typing import Any
 
 import torch
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.data.writer import ARM_FILE, read_arm_json
 from lerobot_mimicik.evaluation.anatomy import Ordeal, load_commands, make_ordeals, save_commands, undergo
@@ -118,10 +119,12 @@ def run_bench(
 
     Raises:
         ValueError: If an option does not fit, or a row was trained with other options before.
+        FileExistsError: If files would be replaced that no benchmark of this project wrote.
         FileNotFoundError: If a dataset or recipe does not exist.
     """
     rows = _checked(options)
     description = _arm(options)
+    outputs.claim(options.out, "benchmark")
     trainings = prepare_trainings(options, description, [row for row in rows.values() if row is not None])
     arm = SerialArm(description, dtype=torch.float64)
     ordeals = make_ordeals(description) if description.home else []

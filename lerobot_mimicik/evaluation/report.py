@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.data.writer import ARM_FILE, LOG_FILE
 from lerobot_mimicik.evaluation import verdict as verdict_rules
 from lerobot_mimicik.evaluation.evaluate import Recording
@@ -121,6 +122,7 @@ def write_report(
         The two paths.
 
     Raises:
+        FileExistsError: If there are such files that this project did not write, see `outputs`.
         ValueError: If a row lacks a key.
     """
     for row in rows:
@@ -128,7 +130,7 @@ def write_report(
         if missing:
             raise ValueError(f"A row of {row.get('solver', 'a solver')} lacks {', '.join(missing)}.")
     out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
+    outputs.claim(out, "report")
     report = {
         "rows": [_jsonable(row) for row in rows],
         "datasets": [describe_recording(recording) for recording in recordings],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import codecs
 import os
 import shlex
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.evaluation.training_log import TrainingLog, joined, split_output
 
 # The console command `lerobot-train` is this module's main, here with the interpreter that runs now.
@@ -107,7 +107,8 @@ def train_or_resume(
 
     Args:
         fresh: Its command line for a new run.
-        run: Its output folder, named in ``fresh`` too.
+        run: Its output folder, named in ``fresh`` too. What a run without a checkpoint left in it is deleted, if it
+            lies in a folder that this project marked.
         steps, log_freq, logs: As for `train`.
         say: Takes the command line that is run.
 
@@ -115,6 +116,7 @@ def train_or_resume(
         Steps that were done before.
 
     Raises:
+        FileExistsError: If files are in `run` that no run of ours left there.
         RuntimeError: If it fails.
     """
     done = last_step(run)
@@ -127,7 +129,7 @@ def train_or_resume(
         train(resumed, steps, log_freq, logs, start=done)
     else:
         # Without a checkpoint there is nothing to go on with, and LeRobot wants the folder to be new.
-        shutil.rmtree(run, ignore_errors=True)
+        outputs.remove(run)
         say(shown(fresh))
         train(fresh, steps, log_freq, logs)
     return done

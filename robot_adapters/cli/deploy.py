@@ -105,11 +105,13 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
 
     Raises:
         ValueError: an option does not fit.
+        FileExistsError: a report is there that this project did not write.
         FileNotFoundError: the checkpoint or the dataset does not exist.
         ConnectionError: the arm does not answer.
     """
     import torch
 
+    from lerobot_mimicik import outputs
     from lerobot_mimicik.evaluation.evaluate import make_evaluation
     from lerobot_mimicik.evaluation.latency import Latency
     from lerobot_mimicik.evaluation.metrics import measure
@@ -120,6 +122,7 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
 
     if not config.policy.path:
         raise ValueError("--policy.path is missing: the MimicIK checkpoint")
+    outputs.claim(config.out, "report")
     torch.set_num_threads(config.threads)
     adapter = MimicIKAdapter.from_pretrained(config.policy.path, config.device, reference=config.reference)
     arm = SerialArm(adapter.description, dtype=torch.float64)

@@ -13,20 +13,21 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.data.retargeting.parts import PartStore, load_outcomes, manifest_of, save_outcomes
 from lerobot_mimicik.data.retargeting.recordings import Recording, SourceColumns, load_recordings
 from lerobot_mimicik.data.retargeting.report import RetargetSummary, retarget_report
 from lerobot_mimicik.data.retargeting.retarget import DROPPED, Outcome, Retargeter, RetargetOptions
 from lerobot_mimicik.data.retargeting.trajectory_ik import forward
+from lerobot_mimicik.data.workers import worker_pool
 from lerobot_mimicik.data.writer import Episode, import_lerobot, write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
 
@@ -92,14 +93,17 @@ def retarget_dataset(
         job: workers, resuming, splits, lag.
 
     Raises:
-        FileExistsError: there is a dataset at `output` already.
-        ValueError: columns that are not understood, a resumed run with other settings, or nothing left to
-            write.
+        FileExistsError: `output`, `output`.parts or `output`.writing holds something that may not be replaced.
+        ValueError: the source is also the output, columns that are not understood, a resumed run with other
+            settings, or nothing left to write.
     """
     started = time.monotonic()
     options, columns, job = options or RetargetOptions(), columns or SourceColumns(), job or JobOptions()
     output = Path(output)
     roots = {"train": output / "train", "test": output / "test"} if job.test_share > 0 else {"all": output}
+    for root in roots.values():
+        # What may be there is known only when a resumed run is found.
+        outputs.check_new(root, "dataset", job.overwrite or job.resume, [source])
     recordings = load_recordings(source, columns)
     recordings = recordings[: job.limit] if job.limit else recordings
     manifest = manifest_of(
@@ -111,7 +115,7 @@ def retarget_dataset(
         output={"test_share": job.test_share, "lag_s": job.lag_s, "task": job.task, "space": job.space},
     )
     settings = hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
-    store_folder = output.with_name(output.name + ".parts")
+    store_folder = output.resolve().with_name(output.resolve().name + ".parts")
     resuming = job.resume and store_folder.exists()
     finished = next(iter(roots.values())) / REPORT_FILE
     if job.resume and not resuming and finished.is_file():
@@ -120,16 +124,14 @@ def retarget_dataset(
             return RetargetSummary(roots, report)
     for root in roots.values():
         # A run interrupted while writing may have left one of two splits.
-        if root.exists() and any(root.iterdir()) and not job.overwrite and not resuming:
-            raise FileExistsError(
-                f"{root} exists already; choose another folder or allow it to be overwritten"
-            )
+        outputs.check_new(root, "dataset", job.overwrite or resuming, [source])
     store = PartStore(store_folder, manifest, job.resume)
     count = -(-len(recordings) // _BATCH)
     _work_off(recordings, store, store.missing(count), description, options, job)
     outcomes = [outcome for number in range(count) for outcome in load_outcomes(store.path(number))]
     usable = [outcome for outcome in outcomes if outcome.status != DROPPED]
     if not usable:
+        store.remove()
         reasons = Counter(outcome.reason for outcome in outcomes)
         raise ValueError(f"none of the {len(outcomes)} recordings of {source} could be used: {dict(reasons)}")
     test_sessions = _test_sessions(usable, job.test_share, options.seed)
@@ -219,15 +221,9 @@ def _work_off(
                 save_outcomes(store.path(number), retargeter.retarget(batch, number * _BATCH))
                 bar.update(len(batch))
             return
-        # Fresh processes: a fork of one in which numpy or torch started threads may hang.
         with (
             _single_threaded(),
-            ProcessPoolExecutor(
-                min(job.workers, len(numbers)),
-                mp_context=get_context("spawn"),
-                initializer=_start_worker,
-                initargs=(description, options),
-            ) as pool,
+            worker_pool(min(job.workers, len(numbers)), _start_worker, (description, options)) as pool,
         ):
             futures = {
                 pool.submit(_make_part, store.path(number), batch, number * _BATCH): len(batch)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.data.retargeting.retarget import Outcome
 
 _MANIFEST = "manifest.json"
@@ -34,16 +34,18 @@ class PartStore:
         """Open the folder for work described by `manifest` (JSON-able).
 
         Args:
-            folder: created if it does not exist; emptied unless `resume`.
+            folder: created if it does not exist; emptied unless `resume`, if it holds parts and nothing else.
             manifest: what the parts depend on: input, options, batch size.
             resume: keep the parts that are there.
 
         Raises:
+            FileExistsError: the folder is not one of parts, or holds something else too.
             ValueError: the parts that are there belong to other work; names what differs.
         """
         self.folder = folder
         manifest = json.loads(json.dumps(manifest))
         path = folder / _MANIFEST
+        outputs.check_new(folder, "parts", overwrite=True)
         if resume and path.is_file():
             found = json.loads(path.read_text())
             differing = [key for key in {**found, **manifest} if found.get(key) != manifest.get(key)]
@@ -53,8 +55,8 @@ class PartStore:
                     "give the same settings to resume it, or start again without resuming"
                 )
             return
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
+        outputs.remove(folder)
+        outputs.mark(folder, "parts")
         path.write_text(json.dumps(manifest, indent=2))
 
     def path(self, number: int) -> Path:
@@ -67,7 +69,7 @@ class PartStore:
 
     def remove(self) -> None:
         """Delete the folder: the work is done."""
-        shutil.rmtree(self.folder)
+        outputs.remove(self.folder)
 
 
 def save_outcomes(path: Path, outcomes: Sequence[Outcome]) -> None:

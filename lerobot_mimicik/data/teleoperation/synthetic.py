@@ -1,9 +1,7 @@
 """Synthetic teleoperation as LeRobot datasets: who records what, in which split, on how many processes."""
 
 import math
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -11,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from tqdm import tqdm
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.data.teleoperation.scene import Scene
 from lerobot_mimicik.data.teleoperation.session import (
     SessionPlan,
@@ -18,6 +17,7 @@ from lerobot_mimicik.data.teleoperation.session import (
     record_near_singular,
     record_sessions,
 )
+from lerobot_mimicik.data.workers import worker_pool
 from lerobot_mimicik.data.writer import Episode, write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
 
@@ -91,7 +91,7 @@ def make_synthetic(
 
     Raises:
         ValueError: counts or shares out of range, or an arm without a home configuration.
-        FileExistsError: a dataset is already there.
+        FileExistsError: a folder is already there, or is none that may be replaced.
     """
     config = config or SyntheticConfig()
     if workers < 1:
@@ -99,10 +99,7 @@ def make_synthetic(
     splits = ["train", *(["test"] if test_share > 0 else []), *(["ood"] if ood else [])]
     roots = {split: Path(output) / split for split in splits}
     for root in roots.values():
-        if not overwrite and root.exists() and any(root.iterdir()):
-            raise FileExistsError(
-                f"{root} exists already; choose another folder or allow it to be overwritten"
-            )
+        outputs.check_new(root, "dataset", overwrite)
     scene = Scene.of(description, _rng(seed, _SCENE_STREAM))
     plans = plan_sessions(episodes, tuple(scene.singular), seed, test_share, config)
     near_singular = [
@@ -191,11 +188,7 @@ def _run(
         for job, plans in jobs:
             yield job(scene, plans, config)
         return
-    # Processes start fresh: forking a process whose torch has threads may hang.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        min(workers, len(jobs)), mp_context=context, initializer=_start_worker, initargs=(scene, config)
-    ) as pool:
+    with worker_pool(min(workers, len(jobs)), _start_worker, (scene, config)) as pool:
         yield from (future.result() for future in [pool.submit(_work, job, plans) for job, plans in jobs])
 
 

@@ -1,0 +1,237 @@
+"""What this project may replace or delete: only folders that it marked, and in them only files that it writes.
+
+Every folder that a command fills gets a mark first, a small file `.mimicik.json` that says what the folder holds::
+
+    {"kind": "dataset", "version": 1}
+
+A file is ours if the nearest marked folder above it is of a kind that has such a file (`_FILES`). Everything else is
+somebody's, and no command touches it: it stops and names the file. There is no other way to delete a folder here.
+
+A folder that was made before there were marks, or that lost its mark, is not replaced either; the message says how
+its owner can mark it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+MARK_FILE = ".mimicik.json"
+_VERSION = 1
+# Files of each kind of folder, below it; `**` at the end: everything there. A folder below that has a mark of its
+# own is judged by that one.
+_FILES: dict[str, tuple[str, ...]] = {
+    "dataset": (
+        "data/chunk-*/file-*.parquet",
+        "meta/episodes/chunk-*/file-*.parquet",
+        "meta/tasks.parquet",
+        *(f"meta/{name}.json" for name in ("info", "stats", "arm", "joint_log", "retarget_report")),
+    ),
+    # A folder that is being filled, and the one it will replace.
+    "writing": (),
+    "parts": ("manifest.json", "part-*.npz", "part-*.tmp"),
+    "demo": (
+        "demo.json",
+        "report.html",
+        "data/summary.txt",
+        "figures/**",
+        "logs/train-*.log",
+        "train/checkpoints/**",
+    ),
+    "benchmark": (
+        *("summary.json", "summary.tmp", "table.json", "table.md", "arm.urdf"),
+        "figures/**",
+        "anatomy/*.npz",
+        "train/*/arguments.json",
+        "train/*/logs/train-*.log",
+        "train/*/run/checkpoints/**",
+    ),
+    "report": ("report.json", "report.md", "report.html", "deployment.json", "figures/**"),
+}
+
+
+def check_new(
+    folder: str | Path, kind: str, overwrite: bool = False, inputs: Iterable[str | Path] = ()
+) -> None:
+    """See that `folder` can be made new: it is not there, it is empty, or it may be replaced.
+
+    Args:
+        folder: what shall be made.
+        kind: what it shall hold, a key of `_FILES`.
+        overwrite: whether a folder that is marked as of this kind, and holds nothing else, may be replaced.
+        inputs: files and folders that are read to make it.
+
+    Raises:
+        FileExistsError: there is something that may not be replaced; names it, and the remedy.
+        ValueError: an input lies in the folder, or the folder in an input.
+    """
+    folder = Path(folder)
+    check_apart(folder, inputs)
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise FileExistsError(f"{folder} exists already and is a file; choose another folder")
+    if not any(folder.iterdir()):
+        return
+    if not overwrite:
+        raise FileExistsError(
+            f"{folder} exists already; choose another folder, or replace it with --overwrite"
+        )
+    if kind_of(folder) != kind:
+        raise FileExistsError(_unmarked(folder, kind))
+    _check_ours(folder)
+
+
+def check_apart(folder: str | Path, inputs: Iterable[str | Path]) -> None:
+    """See that neither an input lies in an output folder nor the folder in an input, links followed.
+
+    Raises:
+        ValueError: one does.
+    """
+    output = Path(folder).resolve()
+    for given in inputs:
+        source = Path(given).resolve()
+        if source == output:
+            raise ValueError(f"the input {given} is also the output; write to another folder")
+        if output in source.parents:
+            raise ValueError(f"the input {given} lies in the output {folder}; write to another folder")
+        if source in output.parents:
+            raise ValueError(f"the output {folder} lies in the input {given}; write to another folder")
+
+
+def claim(folder: str | Path, kind: str) -> None:
+    """See that files of `kind` can be written into `folder`, beside whatever it holds, and mark it.
+
+    A folder of this kind is gone on with: its files may be replaced. In any other folder none of them may exist.
+
+    Raises:
+        FileExistsError: a file would be replaced that this project did not write, or not as this kind.
+    """
+    folder = Path(folder)
+    found = kind_of(folder)
+    if found == kind:
+        return
+    if folder.exists() and not folder.is_dir():
+        raise FileExistsError(f"{folder} exists already and is a file; choose another folder")
+    for pattern in _FILES[kind]:
+        if (there := next(folder.glob(pattern.removesuffix("/**")), None)) is not None:
+            raise FileExistsError(_unmarked(folder, kind, f"{there} would be replaced, but "))
+    folder.mkdir(parents=True, exist_ok=True)
+    if found is None:
+        mark(folder, kind)
+
+
+def mark(folder: Path, kind: str) -> None:
+    """Make `folder`, unless it exists, and say that it is one of this project's: do this before anything else."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / MARK_FILE).write_text(_mark(kind) + "\n")
+
+
+def kind_of(folder: Path) -> str | None:
+    """What the mark of a folder says that it holds; None without a mark that is known."""
+    try:
+        found = json.loads((folder / MARK_FILE).read_text())
+    except (OSError, ValueError):
+        return None
+    known = isinstance(found, dict) and found.get("version") == _VERSION and found.get("kind") in _FILES
+    return str(found["kind"]) if known else None
+
+
+def strangers(folder: Path) -> Iterator[Path]:
+    """Files and links in a folder that are not this project's."""
+    folder = folder.resolve()
+    # Marks above the folder count: a run of training lies in the marked folder of a demo.
+    above = next((parent for parent in (folder, *folder.parents) if kind_of(parent)), None)
+    yield from _strangers(folder, above)
+
+
+def remove(folder: str | Path) -> None:
+    """Delete a folder of this project, or a part of one; nothing happens if it does not exist.
+
+    Raises:
+        FileExistsError: a file in it is not this project's; then nothing was deleted.
+    """
+    folder = Path(folder).resolve()
+    if not folder.exists():
+        return
+    _check_ours(folder)
+    for path, _, files in os.walk(folder, topdown=False):
+        # The mark goes last: what an interruption leaves is still known as ours.
+        for name in sorted(files, key=lambda name: name == MARK_FILE):
+            (Path(path) / name).unlink()
+        for entry in list(Path(path).iterdir()):
+            if entry.is_symlink():  # to a folder, as LeRobot's checkpoints/last
+                entry.unlink()
+        Path(path).rmdir()
+
+
+@contextmanager
+def building(folder: str | Path, kind: str) -> Iterator[Path]:
+    """A new marked folder to fill, which becomes `folder` at the end, in the place of what `check_new` allowed.
+
+    It is filled in FOLDER.writing, so that FOLDER is at no time half of anything, whatever ends the process.
+
+    Raises:
+        FileExistsError: FOLDER.writing, or by now FOLDER, holds something that is not this project's.
+    """
+    folder = Path(folder).resolve()
+    beside = folder.with_name(folder.name + ".writing")
+    check_new(beside, "writing", overwrite=True)
+    remove(beside)
+    mark(beside, "writing")
+    new, old = beside / "new", beside / "old"
+    mark(new, kind)
+    try:
+        yield new
+        if kind_of(folder) == kind:
+            _check_ours(folder)
+            os.replace(folder, old)
+        elif folder.exists():
+            folder.rmdir()  # it was empty when this began
+        os.replace(new, folder)
+    finally:
+        remove(beside)
+
+
+def _check_ours(folder: Path) -> None:
+    stranger = next(strangers(folder), None)
+    if stranger is not None:
+        raise FileExistsError(
+            f"{folder} is not replaced: {stranger} was not made by this project. Move it away, or choose another folder"
+        )
+
+
+def _strangers(folder: Path, above: Path | None) -> Iterator[Path]:
+    marked = folder if kind_of(folder) else above
+    for entry in sorted(folder.iterdir()):
+        if entry.is_dir() and not entry.is_symlink():
+            yield from _strangers(entry, marked)
+        elif marked is None or not _known(entry.relative_to(marked).parts, kind_of(marked) or ""):
+            yield entry
+
+
+def _known(parts: tuple[str, ...], kind: str) -> bool:
+    """Whether folders of a kind have such a file."""
+    return any(_matches(parts, tuple(pattern.split("/"))) for pattern in (MARK_FILE, *_FILES[kind]))
+
+
+def _matches(parts: tuple[str, ...], pattern: tuple[str, ...]) -> bool:
+    if pattern[-1] == "**":
+        pattern, parts = pattern[:-1], parts[: len(pattern) - 1]
+    return len(parts) == len(pattern) and all(map(fnmatchcase, parts, pattern))
+
+
+def _mark(kind: str) -> str:
+    return json.dumps({"kind": kind, "version": _VERSION})
+
+
+def _unmarked(folder: Path, kind: str, what: str = "") -> str:
+    return (
+        f"{what}{folder} is not marked as a {kind} of this project (it has no {MARK_FILE} that says so), so nothing in "
+        "it is replaced. Choose another folder, or remove it yourself. If an earlier version made it, this mark "
+        f"allows replacing it: echo '{_mark(kind)}' > {folder / MARK_FILE}"
+    )
