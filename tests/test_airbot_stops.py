@@ -160,7 +160,7 @@ def test_a_failing_bus_stops_the_loop_in_real_time():
 
 
 def test_a_control_thread_that_is_made_to_exit_leaves_the_motors_released():
-    with SimulatedCell(RealClock(), settings=QUICK) as cell:
+    with SimulatedCell(SlowMotion(), settings=QUICK) as cell:
         cell.arm.connect()
         (thread,) = (each for each in threading.enumerate() if each.name == "airbot-control")
         ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(SystemExit))
