@@ -1,9 +1,13 @@
-"""Checkpoints: which learned kinds there are, where one lies, and loading it."""
+"""Checkpoints: which learned kinds there are, where one lies, and loading it, strictly."""
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from lerobot_mimicik.weights import CheckpointError
 
 if TYPE_CHECKING:
     from lerobot_mimicik.configuration_learned import LearnedIKConfig
@@ -49,18 +53,15 @@ def load_policy(path: str, device: str | None = None) -> LearnedIKPolicy:
 
     Raises:
         FileNotFoundError: If there is no checkpoint.
-        ValueError: If it is one of another policy.
+        CheckpointError: If its configuration or its weights are damaged.
+        ValueError: If it is one of another policy, or there is no such device.
     """
-    from lerobot.configs import PreTrainedConfig
     from lerobot.policies.factory import get_policy_class
 
-    # LeRobot knows a policy's type once its configuration is imported.
-    import lerobot_mimicik.baselines.configuration_mlp
-    import lerobot_mimicik.baselines.configuration_unet
-    import lerobot_mimicik.configuration_mimicik  # noqa: F401
-
     found = find_checkpoint(path)
-    config = PreTrainedConfig.from_pretrained(found)
+    if device is not None:
+        check_device(device)
+    config = _read_config(found)
     if config.type not in _KINDS:
         raise ValueError(
             f"{path} is a checkpoint of type {config.type!r}; expected one of {', '.join(_KINDS)}."
@@ -68,3 +69,46 @@ def load_policy(path: str, device: str | None = None) -> LearnedIKPolicy:
     if device is not None:
         config.device = device
     return get_policy_class(config.type).from_pretrained(found, config=config)
+
+
+def check_device(name: str) -> None:
+    """Refuse a device that torch does not know, or that this machine does not have.
+
+    Raises:
+        ValueError: It names the device, and those that exist.
+    """
+    if not re.fullmatch(r"cpu|mps|(cuda|xpu)(:[0-9]+)?", name):
+        raise ValueError(f"device={name!r}: expected cpu, cuda, cuda:N, mps or xpu.")
+    if name == "cpu":
+        return
+    import torch
+    from lerobot.utils.device_utils import is_torch_device_available
+
+    kind, _, number = name.partition(":")
+    count = torch.get_device_module(kind).device_count() if is_torch_device_available(kind) else 0
+    if int(number or 0) >= count:
+        raise ValueError(f"device={name!r}: torch finds {count} devices of that kind here; cpu always works.")
+
+
+def _read_config(found: str) -> LearnedIKConfig:
+    """The configuration in a checkpoint's folder or Hub repository, of any policy that LeRobot knows."""
+    from draccus.utils import DraccusException
+    from lerobot.configs import PreTrainedConfig
+
+    # LeRobot knows a policy's type once its configuration is imported.
+    import lerobot_mimicik.baselines.configuration_mlp
+    import lerobot_mimicik.baselines.configuration_unet
+    import lerobot_mimicik.configuration_mimicik  # noqa: F401
+
+    file = Path(found) / "config.json"
+    if file.is_file():
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise CheckpointError(f"{file} is damaged: {error}.") from error
+        if not isinstance(content, dict) or not isinstance(content.get("type"), str):
+            raise CheckpointError(f"{file} is no configuration of a policy: expected an object with a type.")
+    try:
+        return PreTrainedConfig.from_pretrained(found)
+    except (DraccusException, TypeError, AttributeError) as error:
+        raise CheckpointError(f"{file if file.is_file() else found}: {error}") from error

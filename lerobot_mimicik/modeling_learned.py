@@ -30,6 +30,7 @@ from lerobot_mimicik.noise import sample_normal, sample_uniform
 from lerobot_mimicik.normalisation import MinMax
 from lerobot_mimicik.objective import Objective
 from lerobot_mimicik.optimiser import SharedOptimiser
+from lerobot_mimicik.weights import load_tensors, read_tensors
 
 
 class LearnedIKPolicy(PreTrainedPolicy):
@@ -136,6 +137,14 @@ class LearnedIKPolicy(PreTrainedPolicy):
                 normaliser.fit(found.lower, found.upper)
             except ValueError as error:
                 raise ValueError(f"statistics of {name}: {error}") from error
+
+    @classmethod
+    def _load_as_safetensor(
+        cls, model: "LearnedIKPolicy", model_file: str, map_location: str, strict: bool
+    ) -> "LearnedIKPolicy":
+        """LeRobot's hook that loads the weights: strictly, whatever it asks for."""
+        load_tensors(model, read_tensors(model_file), model_file)
+        return model
 
     def get_optim_params(self) -> Any:
         """The network's parameters; the averaged copy is not trained."""

@@ -118,6 +118,8 @@ class Doctor:
             return Finding(name, Outcome.OK, check())
         except CheckFailed as failed:
             return Finding(name, Outcome.FAILED, failed.detail, failed.remedy)
+        except Exception as error:  # a doctor that dies of what it finds helps nobody
+            return Finding(name, Outcome.FAILED, f"{type(error).__name__}: {error}")
 
     def _plugin(self) -> str:
         from lerobot.configs import PreTrainedConfig
@@ -147,11 +149,15 @@ class Doctor:
         )
 
     def _checkpoint(self) -> str:
-        from lerobot_mimicik.checkpoints import load_policy
+        from lerobot_mimicik.checkpoints import CheckpointError, load_policy
 
         try:
             self._policy = load_policy(self.options.policy_path, "cpu")
-        except (FileNotFoundError, ValueError, OSError) as error:
+        except CheckpointError as error:
+            raise CheckFailed(
+                str(error), "copy the checkpoint's folder again from where it was trained, or train it again"
+            ) from error
+        except (ValueError, OSError, RuntimeError) as error:
             raise CheckFailed(
                 str(error), "give the folder of a checkpoint, of a training run, or a Hub repository"
             ) from error

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.poses import IDENTITY, PolicyFrames, PoseFormat
+from lerobot_mimicik.weights import load_tensors
 from robot_adapters.adapter import AdapterSettings, IKResult, MimicIKAdapter
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
@@ -260,8 +261,12 @@ class EEActionToJoints(ProcessorStep):
         return {name: value.contiguous() for name, value in self._policy.state_dict().items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Loads the weights, and with them how far targets were from the tool in training."""
-        self._policy.load_state_dict(state)
+        """Loads the weights, strictly, and with them how far targets were from the tool in training.
+
+        Raises:
+            CheckpointError: a tensor is missing, surplus, misshapen or not finite; it names it.
+        """
+        load_tensors(self._policy, state, "the weights of EEActionToJoints")
         settings = AdapterSettings(**self.settings)
         self._adapter = MimicIKAdapter(self._adapter.solver, self._adapter.description, settings)
 

@@ -37,7 +37,7 @@ ALLOWED = {
     "can": {"kinematics", "clock"},
     "airbot": {"kinematics", "clock", "can"},
     "simulation": {"kinematics"} | _DRIVER,
-    "robots": {"kinematics", "adapters", "simulation"} | _DRIVER,
+    "robots": {"kinematics", "configuration", "adapters", "simulation"} | _DRIVER,
     "robots_cli": _LEARNING | {"cli", "adapters", "simulation"} | _DRIVER,
     "plugin": {"configuration", "robots"},
 }

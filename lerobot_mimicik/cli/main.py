@@ -19,6 +19,8 @@ from pathlib import Path
 
 _GROUP = "mimicik.commands"
 _TRACEBACK = "MIMICIK_TRACEBACK"
+# Libraries that read options and files, and whose own errors are about those.
+_READERS = ("draccus", "safetensors", "pyarrow", "yaml")
 
 
 def subcommands() -> dict[str, str]:
@@ -58,16 +60,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     module = importlib.import_module(_found()[command][0])
     try:
         return int(module.main(rest) or 0)
-    except (ValueError, OSError, RuntimeError) as error:
-        # These say what the user can change; where they were raised is of use to developers only.
-        if os.environ.get(_TRACEBACK):
+    except Exception as error:
+        # A user's error says what to change; where it was raised is of use to developers only.
+        if os.environ.get(_TRACEBACK) or not _is_the_users(error):
             raise
-        print(f"mimicik {command}: {error}", file=sys.stderr)
+        print(f"mimicik {command}: {_told(error)}", file=sys.stderr)
         print(f"({_TRACEBACK}=1 shows where this comes from.)", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f"\nmimicik {command}: interrupted.", file=sys.stderr)
         return 130
+
+
+def _is_the_users(error: Exception) -> bool:
+    """Whether options or files are to blame rather than this program, as far as the error's kind tells."""
+    library = type(error).__module__.partition(".")[0]
+    return isinstance(error, ValueError | OSError | RuntimeError | MemoryError) or library in _READERS
+
+
+def _told(error: Exception) -> str:
+    """An error's text; draccus says only in the error's cause why it refuses a value."""
+    text = str(error) or type(error).__name__
+    if type(error).__module__.startswith("draccus.") and isinstance(error.__cause__, TypeError | ValueError):
+        text = f"{text} {error.__cause__}"
+    return text
 
 
 def _say(text: str) -> None:
