@@ -50,7 +50,7 @@ class Schedule:
     def __init__(self, start: float, period: float, callback: Callable[[], None]) -> None:
         self.start, self.period, self.callback = start, period, callback
         self.count = 0
-        self.cancelled = False
+        self.cancelled = self.paused = False
 
     def cancel(self) -> None:
         """Run the callback no more; cancelling twice is harmless."""
@@ -105,7 +105,8 @@ class SimulatedClock:
                     continue
                 schedule.count += 1
                 heapq.heappush(self._queue, (schedule.due, order, schedule))
-                schedule.callback()
+                if not schedule.paused:
+                    schedule.callback()
         finally:
             self._running = False
         self._now = max(self._now, end)

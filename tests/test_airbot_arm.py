@@ -15,7 +15,7 @@ from driver_cell import QUICK, SlowMotion, connected_cell, track
 pytest.importorskip("mujoco")
 
 from robot_adapters.airbot.arm import AirbotArm, NotConnectedError, StartRefusedError
-from robot_adapters.airbot.protocol import DmMotor, Tool
+from robot_adapters.airbot.protocol import DmMotor, DmRegister, Tool
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import RangeError, identify
 from robot_adapters.can.bus import BusError, NoAnswerError, open_bus
@@ -59,11 +59,17 @@ def test_start_up_enables_in_the_documented_order_and_moves_nothing():
             if action is not None:
                 steps.append(action.name)
             elif request is not None and request.data:
-                steps.append(f"mode {request.data[0]}")
+                steps.append(f"{DmRegister(request.register).name} {request.data[0]}")
             elif codec.decode_mit(message) is not None:
                 steps.append("command")
         witness.shutdown()
-        assert steps[: steps.index("command")] == ["DISABLE", "CLEAR_ERROR", "ENABLE", "mode 1"]
+        assert steps[: steps.index("command")] == [
+            "DISABLE",
+            "TIMEOUT 16",  # the low byte of 10,000 ticks
+            "CLEAR_ERROR",
+            "ENABLE",
+            "CONTROL_MODE 1",
+        ]
         np.testing.assert_allclose(cell.simulation.q, before, atol=2e-3)
         assert cell.arm.mode is ArmMode.HOLD
 

@@ -180,16 +180,15 @@ def test_an_arm_that_is_let_down_refuses_targets(cell):
 
 def test_a_tick_that_comes_late_does_not_catch_up_in_one_step(cell):
     q = cell.arm.read().q
-    loop = cell.arm._running()
     for _ in range(4):
         cell.arm.command(q + 0.1)
         cell.clock.sleep(0.05)
-    cell.arm._schedule.cancel()
+    cell.freeze()
     for step in range(2, 5):
         # The control thread starves while targets come.
         cell.arm.command(q + 0.1 * step)
         cell.clock.sleep(0.05)
-    cell.arm._schedule = cell.clock.every(0.004, loop.tick)
+    cell.thaw()
     cell.clock.sleep(0.2)
     assert cell.listener.largest_step <= 0.101
 

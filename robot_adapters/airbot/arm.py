@@ -117,7 +117,7 @@ class AirbotArm:
         self._bus: can.BusABC | None = None
         self._loop: ControlLoop | None = None
         self._thread: threading.Thread | None = None
-        self._schedule: Schedule | None = None
+        self.schedule: Schedule | None = None  # of the control loop on a simulated clock
         self._stopping = threading.Event()
         self._guard = SignalGuard(self._stopping.set) if handle_signals else None
         self._last_statistics: DriverStatistics | None = None
@@ -217,9 +217,9 @@ class AirbotArm:
             self._guard.remove()
         atexit.unregister(self.close)
         self._stopping.set()
-        if self._schedule is not None:
-            self._schedule.cancel()
-            self._schedule = None
+        if self.schedule is not None:
+            self.schedule.cancel()
+            self.schedule = None
             if self._loop is not None:
                 self._let_down(self._loop)
         if self._thread is not None and self._thread is not threading.current_thread():
@@ -275,7 +275,7 @@ class AirbotArm:
         if self._guard is not None:
             self._guard.install()
         if isinstance(self.clock, SimulatedClock):
-            self._schedule = self.clock.every(1.0 / self.settings.rate, loop.tick)
+            self.schedule = self.clock.every(1.0 / self.settings.rate, loop.tick)
         else:
             real_time.enter()
             self._thread = threading.Thread(

@@ -66,6 +66,9 @@ class OdMotor:
     """
 
     family = "od"
+    # s, the unit of the register TIMEOUT. Deduced: the vendor's public driver expects 500 in it, which can only
+    # be milliseconds.
+    timeout_tick = 1e-3
     position_range = FixedPoint(-12.5, 12.5, 16)
     velocity_range = FixedPoint(-18.0, 18.0, 12)
     torque_range = FixedPoint(-30.0, 30.0, 12)
@@ -182,6 +185,14 @@ class OdMotor:
         if register > 0x80:
             return frame(self.id, bytes([0xE0, register - 0xE0 & 0xFF]))
         return frame(self.id, bytes([register]))
+
+    def write(self, register: int, value: int) -> can.Message:
+        """The frame that writes a whole number into a register.
+
+        The form is documented for registers up to 0x80; that those above take it is to be confirmed on a real
+        arm: read the register afterwards.
+        """
+        return frame(0x80 | self.id, bytes([register, 1]) + int(value).to_bytes(4, "big"))
 
     def decode_request(self, message: can.Message) -> ParameterRequest | None:
         """The register that a frame asks this motor for, or wants written; None for any other frame."""

@@ -41,7 +41,11 @@ DEFAULT_GRAVITY_FACTORS = (0.6, 0.6, 0.6, 1.6, 1.25, 1.5)
 _WHOLE_VALUE_TIMEOUT = 0.1  # s for the segments after the first
 
 
-class RangeError(ValueError):
+class RegisterError(ValueError):
+    """A motor whose registers do not hold what this arm needs; the message names register, value and remedy."""
+
+
+class RangeError(RegisterError):
     """A motor that reports ranges it cannot have: with them every number would be scaled wrongly."""
 
 
@@ -94,15 +98,18 @@ def bring_up(
     """Make the motors ready for MIT commands; their positions [rad] when all were, the first target to
     command.
 
-    Per DM motor: disable, wait for feedback, read the ranges, clear the error, enable, set the control mode.
-    OD motors need nothing. Raises NoAnswerError, or RangeError for ranges that are not the motors'.
+    Every motor gets its timeout. Per DM motor: disable, wait for feedback, read the ranges, clear the error,
+    enable, set the control mode. Raises NoAnswerError, RangeError for ranges that are not the motors', or
+    RegisterError for a motor that does not take the timeout.
     """
     settings = settings or AirbotSettings()
     motors = [each.motor for each in identity.motors]
     for motor in motors:
         if not isinstance(motor, DmMotor):
+            _set_timeout(bus, clock, motor, settings.motor_timeout)
             continue
         _act(bus, clock, motor, DmLifecycle.DISABLE)
+        _set_timeout(bus, clock, motor, settings.motor_timeout)
         _read_ranges(bus, clock, motor.id, settings)
         _act(bus, clock, motor, DmLifecycle.CLEAR_ERROR)
         _act(bus, clock, motor, DmLifecycle.ENABLE)
@@ -234,6 +241,35 @@ def _read_ranges(bus: can.BusABC, clock: Clock, motor_id: int, settings: AirbotS
                 f"type, give AirbotSettings(motor_ranges={{{motor_id}: (pos_max, vel_max, torque_max)}})"
             )
     return DmMotor(motor_id, *expected)
+
+
+def _set_timeout(bus: can.BusABC, clock: Clock, motor: Motor, seconds: float | None) -> None:
+    """Have a motor let go by itself after `seconds` without a command, and see that it is so."""
+    if seconds is None:
+        return
+    ticks, what = round(seconds / motor.timeout_tick), f"timeout of motor {motor.id}"
+    register: int = OdRegister.TIMEOUT
+    if isinstance(motor, DmMotor):
+        register, write = DmRegister.TIMEOUT, motor.write(DmRegister.TIMEOUT, ticks)
+    else:
+        write = motor.write(OdRegister.TIMEOUT, ticks)
+
+    def accept(message: can.Message) -> ParameterReply | None:
+        reply = motor.decode(message)
+        if not isinstance(reply, ParameterReply) or reply.register != register or reply.written:
+            return None
+        return reply
+
+    value = ask(bus, clock, motor.request(register), accept, what).value
+    if value != ticks:
+        send(bus, write)
+        value = ask(bus, clock, motor.request(register), accept, what).value
+    if value != ticks:
+        raise RegisterError(
+            f"motor {motor.id} has {value} in register 0x{register:02X} (timeout) and did not take {ticks} "
+            f"({seconds:g} s); set it with the maker's tool, or give AirbotSettings(motor_timeout=None) and "
+            "accept that the arm stays stiff when the process is killed"
+        )
 
 
 def _act(bus: can.BusABC, clock: Clock, motor: DmMotor, action: DmLifecycle) -> MotorFeedback:

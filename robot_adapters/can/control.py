@@ -41,6 +41,7 @@ from robot_adapters.safety import (
     BusOff,
     CommandStatus,
     CommandTimeout,
+    ControllerFailure,
     FeedbackTimeout,
     FollowingError,
     JointLimitViolation,
@@ -101,6 +102,9 @@ class ControlLoop:
         self._gripper = None if gripper_angle is None else Interpolator([gripper_angle], gripper_speed)
         self._decoders = _decoders(motors)
         self._masters = MasterWatch(motors)
+        self._last_tick = clock.monotonic()
+        self._let_go = False
+        self._resting = _resting_velocity(settings, self.dof)
         self._target_stamp = clock.monotonic()
         self._had_target = False
         self._started = clock.monotonic()
@@ -177,6 +181,8 @@ class ControlLoop:
         """One period of the loop."""
         with self.lock:
             start = self.clock.monotonic()
+            self._note_standstill(start - self._last_tick)
+            self._last_tick = start
             self._read(start)
             age, quietest = self.table.oldest(start)
             age = min(age, start - self._started)
@@ -214,6 +220,16 @@ class ControlLoop:
             elif reply is None and not (motor and motor.decode_mit(message)):
                 # Some interfaces give back one's own frames: commands are not unknown.
                 self.recorder.unknown += 1
+
+    def _note_standstill(self, seconds: float) -> None:
+        timeout = self.settings.motor_timeout
+        if timeout is not None and seconds > timeout:
+            # Where the arm is now nobody knows: whatever stiffened it would move it.
+            self._let_go = True
+            detail = (
+                f"the control loop stood still for {seconds:.2f} s, the motors let go after {timeout:g} s"
+            )
+            self.stop(ControllerFailure(detail))
 
     def _supervise(self, now: float, age: float, quietest: int) -> None:
         for event in self.table.troubles():
@@ -254,7 +270,7 @@ class ControlLoop:
         position, velocity = self._setpoint.sample(now)
         reach = self._speed * min(now - self._sent_at, self._longest_step) + 1e-9
         position = self._sent + np.clip(position - self._sent, -reach, reach)
-        velocity = velocity * settings.velocity_feedforward
+        velocity = self._harmless(position, velocity * settings.velocity_feedforward)
         self._sent, self._sent_at = position, now
         torque = self._torque_scale * self._factors * self._gravity.torques(self.table.joints()[0])
         torque = np.clip(torque, -self._torque_limits, self._torque_limits)
@@ -264,17 +280,35 @@ class ControlLoop:
         laws = zip(position.tolist(), velocity.tolist(), torque.tolist(), damping, strict=True)
         for joint, (motor, (q, dq, tau, kd)) in enumerate(zip(self.motors[: self.dof], laws, strict=True)):
             kp = self._gain_scale * settings.kp[joint]
-            if self.mode is ArmMode.STOPPED and self.table.records[motor.id].trouble(self.limits):
+            if self._let_go or (
+                self.mode is ArmMode.STOPPED and self.table.records[motor.id].trouble(self.limits)
+            ):
                 dq = tau = kp = 0.0
             failures += self._send(motor, motor.encode_mit(q, dq, tau, kp, kd))
         if self._gripper is not None:
             angle, rate = (value.item() for value in self._gripper.sample(now))
             kp, kd = self._gain_scale * settings.gripper_kp, settings.gripper_kd
+            if self.mode is ArmMode.STOPPED:
+                rate = 0.0
+            if self._let_go:
+                kp = 0.0
             gripper = self.motors[-1]
             failures += self._send(gripper, gripper.encode_mit(angle, rate, 0.0, kp, kd))
         self._silent_ticks = self._silent_ticks + 1 if failures == len(self.motors) else 0
         if self._silent_ticks >= _SEND_FAILURES:
             self.stop(BusOff(f"no frame could be sent for {_SEND_FAILURES} ticks"))
+
+    def _harmless(self, position: NDArray[np.float64], velocity: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The velocities to command [rad/s] (dof,), such that any frame may be the last one.
+
+        Under a frame that is left acting a joint comes to rest at position + kd/kp velocity: that must lie inside
+        its limits. Where the arm does not track, no velocity is commanded at all.
+        """
+        if self.mode is not ArmMode.TRACKING:
+            return np.zeros_like(velocity)
+        least = np.minimum(self._resting * (self.gate.lower - position), 0.0)
+        most = np.maximum(self._resting * (self.gate.upper - position), 0.0)
+        return np.clip(velocity, least, most)
 
     def _send(self, motor: Motor, message: can.Message) -> bool:
         """Send a frame to a motor; True when that failed."""
@@ -286,6 +320,11 @@ class ControlLoop:
             return True
         self.recorder.sent += 1
         return False
+
+
+def _resting_velocity(settings: AirbotSettings, dof: int) -> NDArray[np.float64]:
+    """kp/kd [1/s] (dof,): the commanded velocity per angle by which a joint would rest beside its position."""
+    return np.asarray(settings.kp[:dof], dtype=float) / np.maximum(settings.kd[:dof], 1e-6)
 
 
 def _refusal(event: SafetyEvent) -> Verdict:

@@ -83,6 +83,7 @@ class DmMotor:
     """
 
     family = "dm"
+    timeout_tick = 50e-6  # s, the unit of the register TIMEOUT, as public drivers of Damiao motors have it
     kd_range = FixedPoint(0.0, 5.0, 12)
 
     def __init__(

@@ -60,10 +60,21 @@ class SimulatedCell:
             gate = self.arm.gate
             self.listener = BusListener(self._buses[-1], self.clock, gate.lower, gate.upper).start()
 
+    def freeze(self) -> None:
+        """Have the driver do nothing, as a process does that was stopped or killed; simulated clock only."""
+        if self.arm.schedule is not None:
+            self.arm.schedule.paused = True
+
+    def thaw(self) -> None:
+        """Let a frozen driver go on."""
+        if self.arm.schedule is not None:
+            self.arm.schedule.paused = False
+
     def close(self) -> None:
         """Close the driver, stop the simulation and close the bus. Closing twice is harmless."""
         if not self._buses:
             return
+        self.thaw()
         self.arm.close()
         if self.listener is not None:
             self.listener.poll()

@@ -20,6 +20,8 @@ MAX_STEP = 0.1  # rad per frame
 MAX_KP, MAX_KD = 101.0, 11.0
 # Position codes have a quantum, and two frames 50 ms apart may come a little closer to each other.
 POSITION_MARGIN, TIME_MARGIN = 0.001, 0.0045
+# A frame that stays in force lets the joint rest at position + kd/kp velocity: velocities have a quantum too.
+REST_MARGIN = 0.002
 
 
 @dataclass
@@ -85,6 +87,9 @@ class BusListener:
             return
         if not witness.lower - POSITION_MARGIN <= command.position <= witness.upper + POSITION_MARGIN:
             self.violations.append(f"{name}: position {command.position:.4f} rad outside the joint limits")
+        rest = command.position + command.kd / command.kp * command.velocity
+        if not witness.lower - REST_MARGIN <= rest <= witness.upper + REST_MARGIN:
+            self.violations.append(f"{name}: left acting, the joint would rest at {rest:.3f} rad, outside")
         if not witness.recent and witness.measured is not None:
             witness.recent.append((now, witness.measured))
         while len(witness.recent) > 1 and witness.recent[0][0] < now - FRAME + TIME_MARGIN:

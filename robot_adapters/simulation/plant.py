@@ -86,6 +86,11 @@ class ArmPlant:
         """Joint velocities [rad/s] (dof,)."""
         return self.data.qvel[self._v_at].copy()
 
+    @property
+    def feed_forward(self) -> NDArray[np.float64]:
+        """Torque that is fed forward [Nm, joint] (dof,)."""
+        return self._gains[2].copy()
+
     def joint_state(self, joint: int) -> tuple[float, float, float]:
         """Angle [rad], velocity [rad/s] and motor torque [Nm, motor] of one joint."""
         data = self.data

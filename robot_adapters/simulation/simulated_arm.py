@@ -163,6 +163,8 @@ class SimulatedArm:
         self._go_off_or_on(now)
         while (message := self.bus.recv(0.0)) is not None:
             self.hear(message, now)
+        for motor in self._all_motors:
+            motor.watch(now)
         while self._outbox and self._outbox[0][0] <= now:
             _, _, reply = heapq.heappop(self._outbox)
             if not self.faults.bus_off(now):

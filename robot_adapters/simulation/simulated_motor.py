@@ -28,6 +28,8 @@ POSITION_NOISE, VELOCITY_NOISE, TORQUE_NOISE = 1e-4, 5e-3, 5e-3  # standard devi
 AMBIENT = 30.0  # degrees C
 _BRAKE = {"od": 3.0, "dm": 1.0}  # damping of a motor that has stopped itself [Nm s/rad]
 _STOPPED_ERROR = {"od": 2, "dm": 14}
+_LOST_COMMUNICATION = 13  # a DM motor's error after its timeout
+_VENDOR_TIMEOUT = {"od": 500, "dm": 0}  # ticks: OD as the vendor's software expects it, DM off as delivered
 
 
 class Body(Protocol):
@@ -106,6 +108,8 @@ class SimulatedMotor:
         self.temperature = AMBIENT
         self.control_mode = 0 if isinstance(codec, DmMotor) else MIT_MODE
         self.commanded: float | None = None  # position [rad] of the MIT law in force, if any
+        self.timeout = _VENDOR_TIMEOUT[codec.family]  # ticks, 0 for none
+        self._heard: float | None = None  # when a command last came, while one acts or may act [s]
         self._faults, self._random = faults, random
 
     @property
@@ -121,13 +125,18 @@ class SimulatedMotor:
             if self.enabled and not self.error and self.control_mode == MIT_MODE:
                 self.body.command(command.position, command.velocity, command.torque, command.kp, command.kd)
                 self.commanded = command.position if command.kp > 0 else None
+                self._heard = now
             return [self.feedback(now)]
         request = self.codec.decode_request(message)
+        if request is not None and request.data and request.register == self._timeout_register:
+            self.timeout = int.from_bytes(
+                request.data, "big" if isinstance(self.codec, OdMotor) else "little"
+            )
         if isinstance(self.codec, OdMotor):
             return None if request is None else self._od_parameter(self.codec, request.register)
         action = self.codec.decode_lifecycle(message)
         if action is not None:
-            self._live(action)
+            self._live(action, now)
             return [self.feedback(now)]
         if self.codec.is_ping(message):
             return [self.feedback(now)]
@@ -171,19 +180,39 @@ class SimulatedMotor:
         self.commanded = None
         self.body.release(_BRAKE[self.codec.family])
 
+    def watch(self, now: float) -> None:
+        """Let go when no command has come for the motor's timeout.
+
+        A DM motor then disables itself with an error; an OD motor, of which nobody says it, is taken to brake and
+        to follow the next command.
+        """
+        if not self.timeout or self._heard is None or self.error:
+            return
+        if now - self._heard > self.timeout * self.codec.timeout_tick:
+            self._heard, self.commanded = None, None
+            if isinstance(self.codec, DmMotor):
+                self.enabled, self.error = False, _LOST_COMMUNICATION
+                self.body.release(0.0)
+            else:
+                self.body.release(_BRAKE["od"])
+
+    @property
+    def _timeout_register(self) -> int:
+        return OdRegister.TIMEOUT if isinstance(self.codec, OdMotor) else DmRegister.TIMEOUT
+
     def _suffer(self, now: float) -> None:
         fault = self._faults.active(FaultKind.MOTOR_ERROR, self.id, now)
         if fault and not self.error:
             self.fail(int(fault.magnitude))
 
-    def _live(self, action: DmLifecycle) -> None:
+    def _live(self, action: DmLifecycle, now: float) -> None:
         if action is DmLifecycle.ENABLE:
-            self.enabled = True
+            self.enabled, self._heard = True, now
         elif action is DmLifecycle.CLEAR_ERROR:
             self.error = 0
         elif action is DmLifecycle.DISABLE:
             self.enabled = False
-            self.commanded = None
+            self.commanded = self._heard = None
             self.body.release(0.0)
 
     def _od_parameter(self, codec: OdMotor, register: int) -> list[can.Message]:
@@ -194,7 +223,7 @@ class SimulatedMotor:
             OdRegister.POSITION: struct.pack(">f", math.degrees(position)),
             OdRegister.VELOCITY: struct.pack(">f", math.degrees(velocity)),
             OdRegister.TORQUE: struct.pack(">f", torque),
-            OdRegister.TIMEOUT: struct.pack(">I", 0),
+            OdRegister.TIMEOUT: struct.pack(">I", self.timeout),
         }
         if register == OdRegister.SERIAL:
             serial = f"SIMULATED-OD-{self.id:03d}".encode()
@@ -205,7 +234,7 @@ class SimulatedMotor:
         wrong = self._faults.active(FaultKind.WRONG_RANGES, self.id, now)
         factor = wrong.magnitude if wrong else 1.0
         return {
-            DmRegister.TIMEOUT: struct.pack("<I", 0),
+            DmRegister.TIMEOUT: struct.pack("<I", self.timeout),
             DmRegister.CONTROL_MODE: struct.pack("<I", self.control_mode),
             DmRegister.FIRMWARE: b"sim1",
             DmRegister.GEAR_RATIO: struct.pack("<f", 10.0),
