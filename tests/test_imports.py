@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -103,6 +104,7 @@ def imports(path: Path) -> Iterator[str]:
         waiting += ast.iter_child_nodes(node)
 
 
+@functools.cache
 def arrows() -> set[tuple[str, str]]:
     """Importing and imported module, for every import within the house."""
     names, found = modules(), set()
