@@ -106,6 +106,12 @@ class ForeignMaster(SafetyEvent):
     )
 
 
+class WrongControlMode(SafetyEvent):
+    """A motor has been put into another control mode, in which it does not follow; the arm stops."""
+
+    remedy = "end the program that changed it, then reconnect: the driver sets the mode again"
+
+
 class BusOff(SafetyEvent):
     """The CAN controller has left the bus or cannot send; the arm stops."""
 

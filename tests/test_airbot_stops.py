@@ -115,12 +115,14 @@ def test_a_gripper_motor_that_falls_silent_is_an_event_and_has_no_opening(cell):
         (FaultKind.OVER_TEMPERATURE, 3, 95.0, "OverTemperature"),
         (FaultKind.OVER_TEMPERATURE, 5, 95.0, "OverTemperature"),
         (FaultKind.BUS_OFF, None, 0.0, "BusOff"),
+        (FaultKind.CONTROL_MODE, 5, 3, "WrongControlMode"),
+        (FaultKind.CONTROL_MODE, 7, 2, "WrongControlMode"),
     ],
 )
 def test_errors_heat_and_bus_off_stop_the_arm(cell, kind, motor, magnitude, event):
     track(cell, 0.2)
     inject(cell, kind, motor, magnitude=magnitude)
-    cell.clock.sleep(0.05)
+    cell.clock.sleep(0.24)  # each motor is asked for its mode every 0.2 s
     assert cell.arm.mode is ArmMode.STOPPED
     result = cell.arm.command(cell.arm.read().q)
     assert result.status is CommandStatus.REFUSED

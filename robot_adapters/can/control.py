@@ -27,12 +27,14 @@ from robot_adapters.airbot.gripper import (
     motor_angle_from_opening,
     motor_speed_from_opening_speed,
 )
-from robot_adapters.airbot.protocol import Motor, MotorFeedback
+from robot_adapters.airbot.protocol import Motor, MotorFeedback, ParameterReply
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.can.bus import BusError, reports_bus_off, send
+from robot_adapters.can.dm_motor import DmRegister
 from robot_adapters.can.feedback import FeedbackTable
 from robot_adapters.can.gravity import GravityModel
 from robot_adapters.can.interpolation import Interpolator
+from robot_adapters.can.mode_watch import ModeWatch
 from robot_adapters.can.one_master import MasterWatch
 from robot_adapters.can.statistics import Recorder
 from robot_adapters.clock import Clock
@@ -101,7 +103,7 @@ class ControlLoop:
         gripper_speed = motor_speed_from_opening_speed(settings.gripper_speed)
         self._gripper = None if gripper_angle is None else Interpolator([gripper_angle], gripper_speed)
         self._decoders = _decoders(motors)
-        self._masters = MasterWatch(motors)
+        self._masters, self._modes = MasterWatch(motors), ModeWatch(motors)
         self._last_tick = clock.monotonic()
         self._let_go = False
         self._resting = _resting_velocity(settings, self.dof)
@@ -217,6 +219,8 @@ class ControlLoop:
             reply = motor.decode(message) if motor else None
             if isinstance(reply, MotorFeedback):
                 self.table.update(reply, now)
+            elif isinstance(reply, ParameterReply) and (event := self._modes.heard(reply)):
+                self.stop(event)
             elif reply is None and not (motor and motor.decode_mit(message)):
                 # Some interfaces give back one's own frames: commands are not unknown.
                 self.recorder.unknown += 1
@@ -294,6 +298,9 @@ class ControlLoop:
                 kp = 0.0
             gripper = self.motors[-1]
             failures += self._send(gripper, gripper.encode_mit(angle, rate, 0.0, kp, kd))
+        asked = self._modes.due(now)
+        if asked is not None:
+            self._send(asked, asked.request(DmRegister.CONTROL_MODE))
         self._silent_ticks = self._silent_ticks + 1 if failures == len(self.motors) else 0
         if self._silent_ticks >= _SEND_FAILURES:
             self.stop(BusOff(f"no frame could be sent for {_SEND_FAILURES} ticks"))

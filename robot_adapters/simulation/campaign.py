@@ -147,7 +147,7 @@ def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[
     """
     limits = limits or SafetyLimits()
     stops = (FaultKind.MOTOR_ERROR, FaultKind.OVER_TEMPERATURE, FaultKind.BUS_OFF, FaultKind.WRONG_RANGES)
-    if fault.kind in stops:
+    if fault.kind in stops or fault.kind is FaultKind.CONTROL_MODE:
         return {Outcome.STOP}
     if fault.kind is FaultKind.DUPLICATED:
         return {Outcome.TRACKING}

@@ -23,6 +23,7 @@ class FaultKind(enum.StrEnum):
     BUS_OFF = "bus_off"
     OVER_TEMPERATURE = "over_temperature"
     WRONG_RANGES = "wrong_ranges"
+    CONTROL_MODE = "control_mode"
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,8 @@ class Fault:
 
     It lasts from `start` for `duration` [s, the arm's clock]. `motor_id` None means every motor. `rate` is
     the share of frames that a frame fault strikes. `magnitude` is the delay [s] of DELAYED, the error code of
-    MOTOR_ERROR, the temperature of OVER_TEMPERATURE and, for WRONG_RANGES, the factor on the ranges that a DM
-    motor reports.
+    MOTOR_ERROR, the temperature of OVER_TEMPERATURE, the mode that a DM motor is in for CONTROL_MODE and, for
+    WRONG_RANGES, the factor on the ranges that it reports.
     """
 
     kind: FaultKind
@@ -127,6 +128,9 @@ def random_fault(
         motor_id = int(random.integers(4, 7))
         magnitude = float(random.choice((math.nan, 0.0, -1.0, 0.5, 0.7, 1.4, 2.0)))
         start, duration = 0.0, math.inf
+    elif kind is FaultKind.CONTROL_MODE:
+        motor_id, magnitude = int(random.integers(4, 8)), float(random.integers(2, 5))
+        duration = math.inf
     elif kind is FaultKind.BUS_OFF:
         motor_id = None
     return Fault(kind, motor_id, start, duration, rate, magnitude)

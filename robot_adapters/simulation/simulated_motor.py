@@ -204,6 +204,9 @@ class SimulatedMotor:
         fault = self._faults.active(FaultKind.MOTOR_ERROR, self.id, now)
         if fault and not self.error:
             self.fail(int(fault.magnitude))
+        mode = self._faults.active(FaultKind.CONTROL_MODE, self.id, now)
+        if mode and isinstance(self.codec, DmMotor):
+            self.control_mode = int(mode.magnitude)
 
     def _live(self, action: DmLifecycle, now: float) -> None:
         if action is DmLifecycle.ENABLE:
