@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lerobot_mimicik.data.collision import ArmCollision
 from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.collision import ArmCollision
 
 ARM = describe_arm("airbot_play")
 HOME = np.array(ARM.home)

@@ -37,7 +37,12 @@ def test_recordings_become_a_dataset(tmp_path, source, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--source=video", "--output=x"], "one of synthetic, ee, joints, got 'video'"),
+        (["--source=video", "--output=x"], "one of synthetic, ee, joints, stress, got 'video'"),
+        (
+            ["--source=stress", "--output=x", "--stress.kinds=fire"],
+            "unknown stress set 'fire'; known are tremor-0mm",
+        ),
+        (["--source=stress", "--output=x", "--input=y"], "--input does not belong to --source=stress"),
         (["--source=ee", "--output=x"], "--input is missing"),
         (["--source=ee", "--input=x"], "--output is missing"),
         (["--source=synthetic", "--output=x"], "--episodes must be positive"),

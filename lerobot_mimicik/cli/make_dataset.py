@@ -20,12 +20,13 @@ from lerobot_mimicik.data.writer import SPACES
 if TYPE_CHECKING:
     from lerobot_mimicik.data.joint_logs import LogSummary
     from lerobot_mimicik.data.retargeting.report import RetargetSummary
+    from lerobot_mimicik.data.stress.sets import StressSummary
     from lerobot_mimicik.data.teleoperation.synthetic import SyntheticSummary
     from lerobot_mimicik.kinematics.arms import ArmDescription
 
 HELP = "Make a dataset: generate teleoperation, retarget recorded end-effector motion, or read an arm's logs."
 
-SOURCES = ("synthetic", "ee", "joints")
+SOURCES = ("synthetic", "ee", "joints", "stress")
 _SYNTHETIC_TEST_SHARE = 0.15
 
 
@@ -111,6 +112,20 @@ class FitOptions:
 
 
 @dataclass
+class StressOptions:
+    """source=stress: which sets, and how long."""
+
+    # Of tremor-0mm, tremor-0.5mm, tremor-1mm, tremor-2mm, near-singular, out-of-reach, splices, reclutching,
+    # outside-limits, workspace, separated by commas; empty: all of them.
+    kinds: str = ""
+    # Length of an episode [s].
+    seconds: float = 30.0
+
+
+_STRESS_EPISODES = 4  # of each kind
+
+
+@dataclass
 class MakeDatasetConfig:
     """Options of `mimicik make-dataset`.
 
@@ -121,16 +136,19 @@ class MakeDatasetConfig:
     robot0_eef_rot_axis_angle), or a LeRobot dataset with poses. zarr is not read: convert it first.
     source=joints writes OUTPUT from logs of an arm's joints (parquet or CSV, or a folder of such files): time,
     measured joints (q1, q2, ... or the joints' names) and, where --columns.commands names them, commanded ones.
+    source=stress writes OUTPUT/KIND for each kind of stress set (see docs/stress.md), for any arm.
     """
 
-    # synthetic: generated teleoperation; ee: retargeted end-effector recordings; joints: an arm's logs.
+    # synthetic: generated teleoperation; ee: retargeted end-effector recordings; joints: an arm's logs; stress:
+    # motions that tell solvers apart.
     source: str = "synthetic"
     # Folder of the dataset to write.
     output: str = ""
     # source=ee, joints: file, folder or LeRobot dataset to read.
     input: str = ""
     robot: RobotOptions = field(default_factory=RobotOptions)
-    # source=synthetic: number of episodes, train and test together. source=ee: first recordings only; 0: all.
+    # source=synthetic: number of episodes, train and test together. source=stress: of each kind; 0: 4.
+    # source=ee: first recordings only; 0: all.
     episodes: int = 0
     # Space of state and action: joints (to train MimicIK), or ee: poses (to train a policy that it serves).
     space: str = "joints"
@@ -154,6 +172,7 @@ class MakeDatasetConfig:
     overwrite: bool = False
     columns: ColumnOptions = field(default_factory=ColumnOptions)
     fit: FitOptions = field(default_factory=FitOptions)
+    stress: StressOptions = field(default_factory=StressOptions)
 
 
 def main(argv: Sequence[str]) -> int:
@@ -171,7 +190,9 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | RetargetSummary | LogSummary:
+def run(
+    config: MakeDatasetConfig, progress: bool = True
+) -> SyntheticSummary | RetargetSummary | LogSummary | StressSummary:
     """Make the dataset.
 
     Raises:
@@ -218,6 +239,8 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
             overwrite=config.overwrite,
             space=config.space,
         )
+    if config.source == "stress":
+        return _write_stress(config, description)
     if not config.input:
         raise ValueError("--input is missing: the file, folder or LeRobot dataset to read")
     if config.source == "joints":
@@ -243,6 +266,29 @@ def run(config: MakeDatasetConfig, progress: bool = True) -> SyntheticSummary | 
         _retarget_options(config),
         _source_columns(config.columns),
         job,
+    )
+
+
+def _write_stress(config: MakeDatasetConfig, description: ArmDescription) -> StressSummary:
+    from lerobot_mimicik.data.stress.sets import KINDS, make_stress
+
+    for option in ("input", "lag", "test_share", "resume"):
+        if getattr(config, option):
+            raise ValueError(f"--{option} does not belong to --source=stress")
+    if config.space != "joints":
+        raise ValueError(
+            "--space=ee does not belong to --source=stress: these sets are to measure solvers on"
+        )
+    return make_stress(
+        config.output,
+        description,
+        kinds=words(config.stress.kinds) or KINDS,
+        episodes=config.episodes or _STRESS_EPISODES,
+        seconds=config.stress.seconds,
+        fps=config.fps,
+        seed=config.seed,
+        robot_type=_robot_type(config.robot),
+        overwrite=config.overwrite,
     )
 
 
@@ -337,10 +383,13 @@ def _numbers(text: str, option: str) -> tuple[float, ...]:
 
 
 def _expanded(argv: Sequence[str]) -> list[str]:
-    """The command line as draccus wants it: a bare switch means true, `--robot=NAME` the arm's name."""
-    return [
-        argument.replace("--robot", "--robot.name", 1)
-        if argument == "--robot" or argument.startswith("--robot=")
-        else argument
-        for argument in bare_switches(argv, MakeDatasetConfig)
-    ]
+    """The command line as draccus wants it: a bare switch means true, `--arm=NAME` and `--robot=NAME` the arm."""
+    return [_arm_option(argument) for argument in bare_switches(argv, MakeDatasetConfig)]
+
+
+def _arm_option(argument: str) -> str:
+    option, equals, value = argument.partition("=")
+    name, dot, field_name = option.partition(".")
+    if name not in ("--arm", "--robot"):
+        return argument
+    return f"--robot.{field_name if dot else 'name'}{equals}{value}"

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.collision import ArmCollision
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
+from lerobot_mimicik.kinematics.collision import ArmCollision
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,8 @@ class ArmArrays:
     Attributes:
         description: the arm.
         lower, upper: joint limits less LIMIT_MARGIN_RAD [rad], (dof,); one turn for joints without limits.
+        limits: joint limits as they are [rad, m], (dof,) each; infinite for joints without.
+        prismatic: which joints slide, (dof,).
         home: a comfortable configuration [rad], (dof,).
         base_to_tip: where the joints, counted from the base, stand in the joint vector.
 
@@ -38,6 +40,8 @@ class ArmArrays:
         self._chain = array_chain(description)
         joints = description.joints()
         self.base_to_tip = [description.joint_names.index(j.name) for j in description.chain() if j.movable]
+        self.limits = np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
+        self.prismatic = np.array([joint.type == "prismatic" for joint in joints])
         lower = np.array([joint.lower if math.isfinite(joint.lower) else -math.pi for joint in joints])
         upper = np.array([joint.upper if math.isfinite(joint.upper) else math.pi for joint in joints])
         margin = np.minimum(LIMIT_MARGIN_RAD, 0.25 * (upper - lower))

@@ -37,6 +37,9 @@ ARM_FILE = "meta/arm.json"
 # Only in datasets whose joints were recorded; in all others made here they were generated or computed.
 LOG_FILE = "meta/joint_log.json"
 SPACES = ("joints", "ee")
+# Only in stress sets: what was asked without what was added, and the nearest pose that the arm can have.
+CLEAN_KEY = "observation.ee_target_clean"
+CLOSEST_KEY = "observation.ee_target_closest"
 _QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)  # those LeRobot stores
 
 
@@ -52,6 +55,8 @@ class Episode:
         task: what is being done, a sentence.
         session: who recorded it and when; splits never cut through a session.
         gripper: measured and commanded gripper, shape (T, 2), or None for an arm without one.
+        ee_target_clean: `ee_target` without what was added to it (tremor), shape (T, 7); None: no such column.
+        ee_target_closest: the pose nearest to `ee_target` that the arm can have, shape (T, 7); None: no such column.
     """
 
     state: np.ndarray
@@ -61,15 +66,25 @@ class Episode:
     task: str
     session: str
     gripper: np.ndarray | None = None
+    ee_target_clean: np.ndarray | None = None
+    ee_target_closest: np.ndarray | None = None
+
+    def extra_poses(self) -> dict[str, np.ndarray]:
+        """The pose columns (T, 7) beyond those that every dataset has, by their feature's name."""
+        found = {CLEAN_KEY: self.ee_target_clean, CLOSEST_KEY: self.ee_target_closest}
+        return {key: poses for key, poses in found.items() if poses is not None}
 
     def __len__(self) -> int:
         return len(self.state)
 
 
 def dataset_features(
-    joint_names: Iterable[str], gripper: bool, space: str = "joints"
+    joint_names: Iterable[str], gripper: bool, space: str = "joints", extra_poses: Iterable[str] = ()
 ) -> dict[str, dict[str, Any]]:
-    """LeRobot features of a dataset in one of `SPACES` (without those LeRobot adds itself)."""
+    """LeRobot features of a dataset in one of `SPACES` (without those LeRobot adds itself).
+
+    `extra_poses` are names of further pose columns, for a dataset in joint space.
+    """
     if space not in SPACES:
         raise ValueError(f"space={space!r}: expected one of {', '.join(SPACES)}")
     joints = [f"{name}.pos" for name in joint_names] + ([GRIPPER_NAME] if gripper else [])
@@ -85,6 +100,7 @@ def dataset_features(
         "observation.state": vector(joints),
         "observation.ee_pose": vector(list(POSE_NAMES)),
         "observation.ee_target": vector(list(POSE_NAMES)),
+        **{key: vector(list(POSE_NAMES)) for key in extra_poses},
         "action": vector(list(joints)),
     }
 
@@ -208,7 +224,7 @@ def _write_files(
     if first is None:
         raise ValueError(f"dataset {repo_id}: there is no episode to write")
     features = {
-        **dataset_features(description.joint_names, first.gripper is not None, space),
+        **dataset_features(description.joint_names, first.gripper is not None, space, first.extra_poses()),
         **{key: dict(value) for key, value in DEFAULT_FEATURES.items()},
     }
     info = create_empty_dataset_info(CODEBASE_VERSION, fps, features, use_videos=False, robot_type=robot_type)
@@ -320,7 +336,16 @@ def _columns(episode: Episode, dof: int, gripper: bool, where: str) -> dict[str,
             key: np.column_stack([values, episode.gripper[:, column]])
             for column, (key, values) in enumerate(joints.items())
         }
-    poses = {"observation.ee_pose": episode.ee_pose, "observation.ee_target": episode.ee_target}
+    poses = {
+        "observation.ee_pose": episode.ee_pose,
+        "observation.ee_target": episode.ee_target,
+        **episode.extra_poses(),
+    }
+    for key, values in episode.extra_poses().items():
+        if values.shape != (length, 7) or not np.isfinite(values).all():
+            raise ValueError(
+                f"{where}: {key} must be finite and have shape {(length, 7)}, got {values.shape}"
+            )
     columns = {}
     for key, values in poses.items():
         norm = np.linalg.norm(values[:, 3:], axis=1)

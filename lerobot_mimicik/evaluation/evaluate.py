@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,6 +11,7 @@ import torch
 
 from lerobot_mimicik.evaluation.latency import Latency, measure_latency
 from lerobot_mimicik.evaluation.metrics import Trace, measure, summarise
+from lerobot_mimicik.evaluation.motion_metrics import bootstrap, collision_depth_mm, summarise_motion
 from lerobot_mimicik.evaluation.rollouts import RolloutOptions, make_rollouts
 from lerobot_mimicik.evaluation.trajectories import TrajectorySet
 from lerobot_mimicik.evaluation.verdict import (
@@ -116,17 +118,23 @@ def evaluate_one(
     label = f"{name}, {mode.replace('_', ' ')}, {recording.set.name}"
     options = RolloutOptions(seed=seed, progress=progress, label=label)
     rollouts = make_rollouts(mode, solver, recording.set.trajectories, options)
-    return make_evaluation(name, mode, recording, tuple(measure(arm, rollouts)), latency)
+    return make_evaluation(arm, name, mode, recording, tuple(measure(arm, rollouts)), latency)
 
 
 def make_evaluation(
-    name: str, mode: str, recording: Recording, traces: tuple[Trace, ...], latency: Latency
+    arm: SerialArm, name: str, mode: str, recording: Recording, traces: tuple[Trace, ...], latency: Latency
 ) -> Evaluation:
     """The row of one solver on one dataset in one mode, and what it rests on."""
     row: dict[str, Any] = {"solver": name, "mode": mode, "dataset": recording.set.name}
     row |= summarise(traces)
+    row |= summarise_motion(traces, recording.set.fps)
+    row |= {
+        "depth_mm": collision_depth_mm(arm.description, traces),
+        "ci95": bootstrap(traces, recording.set.fps),
+    }
     row |= {
         "latency_ms_median": latency.median_ms,
+        "latency_ms_p95": latency.p95_ms,
         "latency_ms_p99": latency.p99_ms,
         "energy_mj": latency.energy_mj,
     }
@@ -138,4 +146,5 @@ def make_evaluation(
         worst, verdicts = judge_all(traces, recording.passages, recording.set.fps)
         row |= {"verdict": worst.verdict, "reason": worst.reason}
     row["episodes"] = len(traces)
+    row["failures"] = dict(Counter(verdict.failure for verdict in verdicts if verdict.failure))
     return Evaluation(row, recording, traces, tuple(verdicts))

@@ -25,6 +25,7 @@ class Latency:
     p99_ms: float
     queries: int
     energy_mj: float | None = None
+    p95_ms: float | None = None
 
 
 def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200) -> Latency:
@@ -60,4 +61,5 @@ def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200
         float(np.percentile(milliseconds, 99)),
         queries,
         None if joules is None else 1e3 * joules / queries,
+        float(np.percentile(milliseconds, 95)),
     )

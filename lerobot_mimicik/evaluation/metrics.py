@@ -32,6 +32,10 @@ SUCCESS_MM = (1.0, 5.0, 10.0)
 JOINT_SPIKE_RAD = 0.1
 ESTOP_RAD = 0.5
 LIMIT_TOLERANCE_RAD = STEP_TOLERANCE_RAD = 1e-6
+REACH_TOLERANCE_M = 1e-4  # what the search for the closest pose leaves of a target in reach
+ROTATION_LEVER_M = (
+    0.1  # the lever at which a rotation counts as much as a translation, as the stress sets have it
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,7 @@ class Trace:
         max_dq: Largest absolute joint step from ``q_curr`` to ``q_cmd``, (T,), rad; inf where the command is
             not finite, NaN where none was asked for.
         outside_limits: Whether the command leaves the joint limits, (T,).
+        tool: ``T_base_tool`` of the command, (T, 7).
     """
 
     rollout: Rollout
@@ -52,6 +57,15 @@ class Trace:
     rotation_deg: Array
     max_dq: Array
     outside_limits: NDArray[np.bool_]
+    tool: Array
+
+    @property
+    def in_reach(self) -> NDArray[np.bool_]:
+        """Whether the arm can have the target's pose, (T,); True where the dataset does not say."""
+        trajectory = self.rollout.trajectory
+        if trajectory.closest is None:
+            return np.ones(len(trajectory), dtype=bool)
+        return np.asarray(pose_cost(trajectory.closest, trajectory.target) <= REACH_TOLERANCE_M)
 
 
 def measure(arm: SerialArm, rollouts: Sequence[Rollout]) -> list[Trace]:
@@ -63,8 +77,10 @@ def _measure_one(arm: SerialArm, rollout: Rollout) -> Trace:
     q_cmd, frames = rollout.q_cmd, len(rollout.q_cmd)
     finite = np.isfinite(q_cmd).all(axis=1)
     position, rotation = np.full(frames, np.nan), np.full(frames, np.nan)
+    tool = np.full((frames, 7), np.nan)
     if finite.any():
         reached = arm.forward(torch.from_numpy(q_cmd[finite]))
+        tool[finite] = reached.numpy()
         distance, angle = pose_error(reached, torch.from_numpy(rollout.trajectory.target[finite]))
         position[finite], rotation[finite] = 1e3 * distance.numpy(), np.degrees(angle.numpy())
     max_dq = np.full(frames, np.nan)
@@ -72,7 +88,13 @@ def _measure_one(arm: SerialArm, rollout: Rollout) -> Trace:
     max_dq[finite] = np.abs(q_cmd[finite] - rollout.q_curr[finite]).max(axis=1)
     lower, upper = arm.lower.double().numpy(), arm.upper.double().numpy()
     outside = (q_cmd < lower - LIMIT_TOLERANCE_RAD) | (q_cmd > upper + LIMIT_TOLERANCE_RAD)
-    return Trace(rollout, position, rotation, max_dq, np.asarray(outside.any(axis=1)))
+    return Trace(rollout, position, rotation, max_dq, np.asarray(outside.any(axis=1)), tool)
+
+
+def pose_cost(poses: Array, targets: Array) -> Array:
+    """Distance (T,) in m between poses (T, 7), rotations weighted by `ROTATION_LEVER_M`; NaN stays NaN."""
+    distance, angle = pose_error(torch.from_numpy(poses), torch.from_numpy(targets))
+    return np.hypot(distance.numpy(), ROTATION_LEVER_M * angle.numpy())
 
 
 def jerk_of(commands: Array) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from lerobot_mimicik.columns import flat_names, joint_columns
+from lerobot_mimicik.data.writer import CLEAN_KEY, CLOSEST_KEY
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import Array
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from lerobot_mimicik.configuration_learned import LearnedIKConfig
 
 _STATE, _ACTION = "observation.state", "action"
+_STRESS = (CLEAN_KEY, CLOSEST_KEY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +31,15 @@ class Trajectory:
         index: Its episode number in the dataset.
         q: Measured joints, (T, dof), rad.
         target: ``T_base_tool`` commanded at each frame, (T, 7), x y z (m) qx qy qz qw.
+        clean: The same without what a stress set added to it, (T, 7); None where the dataset does not say.
+        closest: The pose nearest to the target that the arm can have, (T, 7); None where the dataset does not say.
     """
 
     index: int
     q: Array
     target: Array
+    clean: Array | None = None
+    closest: Array | None = None
 
     def __post_init__(self) -> None:
         if self.q.ndim != 2 or self.target.shape != (len(self.q), 7) or not len(self.q):
@@ -44,6 +50,11 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def first(self, frames: int) -> Trajectory:
+        """Its first so many frames."""
+        clean, closest = (None if poses is None else poses[:frames] for poses in (self.clean, self.closest))
+        return Trajectory(self.index, self.q[:frames], self.target[:frames], clean, closest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +154,8 @@ def load_trajectories(
         # The last frame of an episode has no next state to aim at.
         rows = slice(rows.start, rows.stop - 1) if drop_last else rows
         if rows.stop > rows.start:
-            trajectories.append(Trajectory(index, joints[rows], pose[rows]))
+            more = [columns[key][rows].astype(np.float64) if key in columns else None for key in _STRESS]
+            trajectories.append(Trajectory(index, joints[rows], pose[rows], *more))
     if not trajectories:
         raise ValueError(f"{root} has no episode with a frame to evaluate.")
     return TrajectorySet(name or root.name, root, float(meta.fps), tuple(trajectories))
@@ -170,7 +182,7 @@ def first_seconds(
         length = int(min(len(one), frames_each, left))
         if not length:
             break
-        kept.append(Trajectory(one.index, one.q[:length], one.target[:length]))
+        kept.append(one.first(length))
         left -= length
     return replace(trajectories, trajectories=tuple(kept))
 
@@ -197,7 +209,7 @@ def _wanted(features: dict[str, dict[str, Any]], layout: Layout) -> list[str]:
         raise ValueError(
             f"The dataset has no column {', '.join(missing)}; it has {', '.join(sorted(features))}."
         )
-    return sorted({_STATE, target, "episode_index", "index"})
+    return sorted({_STATE, target, "episode_index", "index", *(key for key in _STRESS if key in features)})
 
 
 def _read_columns(root: Path, names: list[str]) -> dict[str, np.ndarray]:

@@ -15,7 +15,8 @@ arm's characteristic length so that all rows are per radian, has a smallest sing
 
 An E-stop or a frozen arm comes before a growing error: what follows from them is their consequence. The
 verdict on a dataset is the worst of its trajectories. It is about what a solver does to itself, so it is
-given where commands feed back, not in open loop.
+given where commands feed back, not in open loop. Frames whose target the arm cannot have, where the dataset says so,
+are not held against it.
 """
 
 from __future__ import annotations
@@ -45,14 +46,16 @@ TARGET_MOVED_DEG = 2.0
 _LENGTH_SAMPLES = 256
 
 VERDICTS = ("Bounded", "Singular", "Diverged")
+FAILURES = ("non-finite", "E-stop", "frozen", "caught", "lost")
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One of ``VERDICTS`` and, in words, what decided it."""
+    """One of ``VERDICTS``, in words what decided it, and which of ``FAILURES`` that is ("" if none)."""
 
     verdict: str
     reason: str
+    failure: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,27 +107,31 @@ def find_passages(singular_value: Array, fps: float) -> list[Passage]:
 def judge(trace: Trace, passages: Sequence[Passage], fps: float) -> Verdict:
     """The verdict on one rollout, given the singular passages of its recording."""
     if np.isposinf(trace.max_dq).any():
-        return Verdict("Diverged", f"non-finite command at {_at(trace, trace.rollout.asked - 1)}")
+        return Verdict(
+            "Diverged", f"non-finite command at {_at(trace, trace.rollout.asked - 1)}", "non-finite"
+        )
     if (trace.max_dq > ESTOP_RAD).any():
         frame = int(np.argmax(trace.max_dq > ESTOP_RAD))
-        return Verdict("Singular", f"step of {trace.max_dq[frame]:.2f} rad at {_at(trace, frame)}")
+        return Verdict("Singular", f"step of {trace.max_dq[frame]:.2f} rad at {_at(trace, frame)}", "E-stop")
     frozen = _first_frozen(trace, fps)
     if frozen is not None:
-        return Verdict("Singular", f"frozen arm at {_at(trace, frozen)}")
-    lost = _lost_for_good(trace.position_mm, fps)
+        return Verdict("Singular", f"frozen arm at {_at(trace, frozen)}", "frozen")
+    lost = _lost_for_good(_judged_mm(trace), fps)
     if lost is not None:
-        return Verdict("Diverged", f"error grows without return from {_at(trace, lost)}")
+        return Verdict("Diverged", f"error grows without return from {_at(trace, lost)}", "lost")
     for passage in passages:
         if returned_after(trace, passage, fps) is False:
             return Verdict(
-                "Singular", f"not back under 10 mm within {RETURN_S:g} s of {_at(trace, passage.stop)}"
+                "Singular",
+                f"not back under 10 mm within {RETURN_S:g} s of {_at(trace, passage.stop)}",
+                "caught",
             )
     return Verdict("Bounded", f"{len(passages)} singular passages")
 
 
 def returned_after(trace: Trace, passage: Passage, fps: float) -> bool | None:
     """Whether the error came back in time after a passage; None where the trajectory ends with it."""
-    after = trace.position_mm[passage.stop : passage.stop + round(RETURN_S * fps) + 1]
+    after = _judged_mm(trace)[passage.stop : passage.stop + round(RETURN_S * fps) + 1]
     return bool((after <= RETURNED_MM).any()) if after.size else None
 
 
@@ -139,6 +146,11 @@ def judge_all(
     return worst, verdicts
 
 
+def _judged_mm(trace: Trace) -> Array:
+    """Position error (T,), zero where the target is out of reach: no solver can be blamed there."""
+    return np.where(trace.in_reach, trace.position_mm, 0.0)
+
+
 def _first_frozen(trace: Trace, fps: float) -> int | None:
     """First frame from which the arm is frozen for ``FROZEN_S``, or None."""
     window = round(FROZEN_S * fps)
@@ -147,7 +159,7 @@ def _first_frozen(trace: Trace, fps: float) -> int | None:
         return None
     commands = np.lib.stride_tricks.sliding_window_view(trace.rollout.q_cmd, window + 1, axis=0)
     still = (commands.max(axis=-1) - commands.min(axis=-1)).max(axis=-1) < FROZEN_RAD
-    far = np.lib.stride_tricks.sliding_window_view(trace.position_mm, window + 1).min(axis=-1) > RETURNED_MM
+    far = np.lib.stride_tricks.sliding_window_view(_judged_mm(trace), window + 1).min(axis=-1) > RETURNED_MM
     target = torch.from_numpy(trace.rollout.trajectory.target)
     moved_mm = 1e3 * torch.linalg.vector_norm(target[window:, :3] - target[:-window, :3], dim=-1).numpy()
     moved_deg = np.degrees(rotation_angle(target[window:, 3:], target[:-window, 3:]).numpy())

@@ -139,7 +139,7 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     traces = tuple(measure(arm, rollouts))
     solve = [ms for log in logs for ms in log.solve_ms]
     latency = Latency(_percentile(solve, 50), _percentile(solve, 99), len(solve))
-    evaluation = make_evaluation("mimicik", "plant", recording, traces, latency)
+    evaluation = make_evaluation(arm, "mimicik", "plant", recording, traces, latency)
     write_report(config.out, [evaluation.row], [recording], asdict(config))
     summary = _summary(logs) | extra | {"tool_error_mm": _tool_error(adapter, recording, logs)}
     (Path(config.out) / "deployment.json").write_text(json.dumps(summary, indent=2) + "\n")

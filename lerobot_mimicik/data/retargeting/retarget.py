@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from lerobot_mimicik.data.collision import ArmCollision
 from lerobot_mimicik.data.retargeting.cleaning import (
     CleaningOptions,
     CleanTrajectory,
@@ -41,6 +40,7 @@ from lerobot_mimicik.data.retargeting.trajectory_ik import (
 )
 from lerobot_mimicik.data.slowing import resample, stretched_clock
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.collision import ArmCollision
 
 KEPT, CHANGED, DROPPED = "kept", "changed", "dropped"
 _WAYPOINT_SPACING = 5
