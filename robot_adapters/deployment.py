@@ -10,13 +10,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_adapters.airbot.arm import AirbotArm, ArmState, CommandResult
 from robot_adapters.can.control import ArmMode
 from robot_adapters.clock import Clock
+
+if TYPE_CHECKING:
+    from robot_adapters.airbot.arm import AirbotArm, ArmState, CommandResult
 
 Array = NDArray[np.float64]
 Controller = Callable[[Array, Array], Array]
@@ -57,7 +60,7 @@ class DeploymentLog:
     stopped: str = ""
 
 
-Watcher = Callable[[int, Array, ArmState, Array, CommandResult], None]
+type Watcher = Callable[[int, Array, ArmState, Array, CommandResult], None]
 """Told of every frame: number, target, measured state, command, and what the driver made of it."""
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_mimicik.kinematics.poses import pose_distance
 from robot_adapters.adapter import MimicIKAdapter
-from robot_adapters.airbot.arm import ArmState, CommandResult
+
+if TYPE_CHECKING:
+    from robot_adapters.airbot.arm import ArmState, CommandResult
 
 _TRAIL = 200  # frames of the path that stay in sight
 

@@ -49,11 +49,14 @@ def test_what_was_changed_is_stated(outcomes):
 
 
 def test_a_small_slow_motion_is_kept_as_it_is(retargeter):
-    outcome = retargeter.retarget([hand_recording(0, size=0.05, seconds=1.0)])[0]
-    fast = np.abs(np.diff(outcome.q, axis=0)).max()
-    assert fast <= 0.09
-    assert outcome.status == KEPT or set(outcome.changes) <= {"slowed down", "rotation scaled"}
-    assert "translation scaled" not in outcome.changes
+    recording = hand_recording(0, size=0.05, seconds=1.0)
+    outcome = retargeter.retarget([recording])[0]
+    assert (outcome.status, outcome.changes) == (KEPT, {})
+    # Placed elsewhere as a whole, with the distances of every frame from the first as they were.
+    before, after = (
+        np.linalg.norm(pose[:, :3] - pose[0, :3], axis=1) for pose in (recording.pose, outcome.target)
+    )
+    np.testing.assert_allclose(after, before, atol=1e-3)
 
 
 def test_a_recording_fares_alike_whatever_its_batch(retargeter, outcomes):
