@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 
+import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
@@ -16,7 +17,7 @@ from robot_adapters.can.feedback import MotorRecord
 from robot_adapters.clock import SimulatedClock
 from robot_adapters.safety import SafetyLimits
 from robot_adapters.simulation.campaign import Outcome, run_campaign, run_case, specified_outcomes
-from robot_adapters.simulation.faults import Fault, FaultKind
+from robot_adapters.simulation.faults import DISTURBANCES, Fault, FaultKind, random_fault
 from robot_adapters.simulation.listener import BusListener
 from robot_adapters.simulation.soak import run_soak
 
@@ -43,6 +44,11 @@ def test_the_same_seed_gives_the_same_case():
     [
         (Fault(FaultKind.MOTOR_ERROR, 1), {Outcome.STOP}),
         (Fault(FaultKind.WRONG_RANGES, 4), {Outcome.STOP}),
+        (Fault(FaultKind.OTHER_MASTER, 4), {Outcome.STOP}),
+        (Fault(FaultKind.BUSY_BUS, None), {Outcome.TRACKING}),
+        (Fault(FaultKind.FROZEN, None, 0.2, 0.06), {Outcome.TRACKING}),
+        (Fault(FaultKind.FROZEN, None, 0.2, 0.4), {Outcome.HOLD}),
+        (Fault(FaultKind.FROZEN, None, 0.2, 1.15), {Outcome.STOP}),
         (Fault(FaultKind.DUPLICATED, None, 0.0, 1.0), {Outcome.TRACKING}),
         (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 0.02), {Outcome.TRACKING}),
         (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 0.4), {Outcome.HOLD}),
@@ -61,6 +67,11 @@ def test_what_a_fault_may_lead_to_follows_from_kind_and_length(fault, outcomes):
 def test_a_storm_of_damaged_frames_is_taken_neither_for_heat_nor_for_motion(seed, duration, rate):
     case = run_case(Fault(FaultKind.CORRUPTED, None, 0.2, duration, rate), seed)
     assert case.complaints == ()
+
+
+@pytest.mark.parametrize("kind", DISTURBANCES)
+def test_what_happens_around_the_arm_ends_as_specified(kind):
+    assert run_case(random_fault(np.random.default_rng(1), 0.2, [kind]), seed=1).complaints == ()
 
 
 def test_trouble_that_changes_its_name_is_trouble_in_the_end():

@@ -66,6 +66,21 @@ def test_one_order_of_somebody_else_stops_the_arm(order):
         assert names(cell.arm.events())[0] == "ForeignMaster"
 
 
+def test_a_joint_that_somebody_else_has_moved_is_not_pulled_back():
+    with SimulatedCell(settings=QUICK) as cell:
+        cell.arm.connect()
+        track(cell, 0.2)
+        limp = OdMotor(3).encode_mit(0.0, 0.0, 0.0, 0.0, 0.0)
+        other = cell.clock.every(0.002, lambda: cell.simulation.hear(limp, cell.clock.monotonic()))
+        cell.clock.sleep(0.8)
+        other.cancel()
+        moved = cell.simulation.q
+        cell.clock.sleep(0.3)
+        assert cell.arm.mode is ArmMode.STOPPED
+        assert np.max(np.abs(cell.simulation.q - moved)) < 0.15
+        assert not cell.simulation.emergency_stopped
+
+
 def test_somebody_who_only_asks_disturbs_nobody():
     with connected_cell() as cell, stranger(cell) as bus:
         for motor in all_motors():

@@ -46,6 +46,7 @@ from robot_adapters.safety import (
     ControllerFailure,
     FeedbackTimeout,
     FollowingError,
+    ForeignMaster,
     JointLimitViolation,
     NonFiniteCommand,
     SafetyEvent,
@@ -276,14 +277,18 @@ class ControlLoop:
         position = self._sent + np.clip(position - self._sent, -reach, reach)
         velocity = self._harmless(position, velocity * settings.velocity_feedforward)
         self._sent, self._sent_at = position, now
-        torque = self._torque_scale * self._factors * self._gravity.torques(self.table.joints()[0])
+        measured = self.table.joints()[0]
+        torque = self._torque_scale * self._factors * self._gravity.torques(measured)
         torque = np.clip(torque, -self._torque_limits, self._torque_limits)
         damping = settings.kd if self._damping is None else self._damping.tolist()
+        # A joint that another master has moved away is not pulled back: it may let go of it any time.
+        disputed = isinstance(self.stop_event, ForeignMaster)
+        taken = (disputed & (np.abs(position - measured) > self.limits.max_step)).tolist()
         failures = 0
         # As floats: the codecs compute with them several times faster than with elements of arrays.
         laws = zip(position.tolist(), velocity.tolist(), torque.tolist(), damping, strict=True)
         for joint, (motor, (q, dq, tau, kd)) in enumerate(zip(self.motors[: self.dof], laws, strict=True)):
-            kp = self._gain_scale * settings.kp[joint]
+            kp = 0.0 if taken[joint] else self._gain_scale * settings.kp[joint]
             if self._let_go or (
                 self.mode is ArmMode.STOPPED and self.table.records[motor.id].trouble(self.limits)
             ):

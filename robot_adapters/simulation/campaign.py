@@ -21,13 +21,26 @@ from robot_adapters.can.bus import BusError
 from robot_adapters.can.control import ArmMode
 from robot_adapters.safety import SafetyLimits
 from robot_adapters.simulation.cell import SimulatedCell
-from robot_adapters.simulation.faults import Fault, FaultKind, random_fault
+from robot_adapters.simulation.disturbances import Disturbance
+from robot_adapters.simulation.faults import DISTURBANCES, Fault, FaultKind, random_fault
 
 _FAULT_AT = 0.2  # s after the start of tracking
 _LONGEST = 1.2  # s of a lasting fault that are watched
 _WATCHED = 0.4  # s watched after the end of a fault
 _PERIOD = 0.05  # s between targets
 _GRACE = 0.02  # s: some ticks of the loop and some frames of debouncing
+
+
+# What somebody else does to a motor, and the event that must say so within `_NOTICED` [s].
+_NOTICED = 0.5
+_INTRUSIONS = {
+    FaultKind.OTHER_MASTER: "ForeignMaster",
+    FaultKind.LIMP_MASTER: "ForeignMaster",
+    FaultKind.HIDDEN_MASTER: "ForeignMaster",
+    FaultKind.ONE_ORDER: "ForeignMaster",
+    FaultKind.REPLAYED: "ForeignMaster",
+    FaultKind.CONTROL_MODE: "WrongControlMode",
+}
 
 
 class Outcome(enum.StrEnum):
@@ -106,6 +119,9 @@ def run_case(fault: Fault, seed: int = 0) -> FaultCase:
         assert cell.listener is not None
         modes: list[ArmMode] = []
         names: list[str] = []
+        disturbance = Disturbance(cell, fault, seed)
+        if fault.start == 0:
+            disturbance.begin()
         try:
             cell.arm.connect()
         except (BusError, RangeError, StartRefusedError) as error:
@@ -124,7 +140,17 @@ def run_case(fault: Fault, seed: int = 0) -> FaultCase:
                 )
                 cell.simulation.faults.faults.append(moved)
             home = cell.arm.read().q
+            begun, ended = fault.start == 0, False
             while (t := cell.clock.monotonic() - start) < end:
+                if not begun and t >= fault.start:
+                    disturbance.begin()
+                    begun = True
+                if not ended and t >= fault.start + fault.duration - 1e-9:
+                    disturbance.end()
+                    ended = True
+                if disturbance.frozen:
+                    cell.clock.sleep(_PERIOD / 5)
+                    continue
                 wave = amplitude * (np.sin(1.2 * t + phase) - np.sin(phase))
                 result = cell.arm.command(home + wave)
                 names += [event.name for event in result.events]
@@ -132,7 +158,10 @@ def run_case(fault: Fault, seed: int = 0) -> FaultCase:
                     cell.clock.sleep(_PERIOD / 5)
                     modes.append(cell.arm.mode)
             outcome = _outcome(modes)
-        complaints = _complaints(cell, fault, outcome, modes)
+            if fault.kind is FaultKind.KILLED:
+                outcome = Outcome.STOP if disturbance.let_go else Outcome.TRACKING
+        disturbance.close()
+        complaints = _complaints(cell, fault, outcome, modes, names) + disturbance.complaints
         commands, largest = cell.listener.commands, cell.listener.largest_step
     complaints += [f"on the bus: {violation}" for violation in cell.listener.violations[:3]]
     return FaultCase(seed, fault, outcome, tuple(dict.fromkeys(names)), tuple(complaints), commands, largest)
@@ -149,6 +178,8 @@ def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[
     stops = (FaultKind.MOTOR_ERROR, FaultKind.OVER_TEMPERATURE, FaultKind.BUS_OFF, FaultKind.WRONG_RANGES)
     if fault.kind in stops or fault.kind is FaultKind.CONTROL_MODE:
         return {Outcome.STOP}
+    if fault.kind in DISTURBANCES:
+        return _disturbed_outcomes(fault, limits)
     if fault.kind is FaultKind.DUPLICATED:
         return {Outcome.TRACKING}
     silence = fault.duration if fault.kind is not FaultKind.DELAYED else min(fault.duration, fault.magnitude)
@@ -163,6 +194,22 @@ def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[
     return allowed
 
 
+def _disturbed_outcomes(fault: Fault, limits: SafetyLimits) -> set[Outcome]:
+    """A second driver and traffic for others disturb nobody; a driver that stood still holds when its targets are
+    old, and stops when the motors have let go. All else is another master, a motor lost or a dead driver.
+    """
+    if fault.kind in (FaultKind.SECOND_DRIVER, FaultKind.BUSY_BUS):
+        return {Outcome.TRACKING}
+    if fault.kind is not FaultKind.FROZEN:
+        return {Outcome.STOP}
+    timeout = AirbotSettings().motor_timeout
+    if timeout is not None and fault.duration > timeout:
+        return {Outcome.STOP}
+    # The last target may be a period old when the driver freezes.
+    old = fault.duration + _PERIOD > limits.target_timeout
+    return {Outcome.HOLD} if old else {Outcome.TRACKING}
+
+
 def _outcome(modes: list[ArmMode]) -> Outcome:
     # The loop holds until the first target comes.
     if ArmMode.STOPPED in modes:
@@ -170,13 +217,33 @@ def _outcome(modes: list[ArmMode]) -> Outcome:
     return Outcome.HOLD if ArmMode.HOLD in modes[1:] else Outcome.TRACKING
 
 
-def _complaints(cell: SimulatedCell, fault: Fault, outcome: Outcome, modes: list[ArmMode]) -> list[str]:
+def _complaints(
+    cell: SimulatedCell, fault: Fault, outcome: Outcome, modes: list[ArmMode], names: list[str]
+) -> list[str]:
     complaints = []
     allowed = specified_outcomes(fault)
     if outcome not in allowed:
         complaints.append(f"ended in {outcome}, specified: {', '.join(sorted(allowed))}")
+    if fault.kind in _INTRUSIONS:
+        complaints += _unnoticed(cell, fault, modes, names)
     if cell.simulation.emergency_stopped:
         complaints.append("the motors stopped in emergency")
     if fault.duration < _LONGEST and outcome is not Outcome.STOP and modes[-1] is not ArmMode.TRACKING:
         complaints.append("did not track again after the fault was over")
+    return complaints
+
+
+def _unnoticed(cell: SimulatedCell, fault: Fault, modes: list[ArmMode], names: list[str]) -> list[str]:
+    """What a driver that somebody else disturbs did not notice, or not in time."""
+    if not modes:  # it did not start
+        sent = cell.listener.commands if cell.listener is not None else 0
+        return [f"sent {sent} commands to an arm that somebody else commands"] if sent else []
+    if ArmMode.STOPPED not in modes:
+        return []
+    complaints = []
+    after = modes.index(ArmMode.STOPPED) * _PERIOD / 5 - fault.start
+    if after > _NOTICED + _PERIOD:
+        complaints.append(f"noticed after {after:.2f} s")
+    if _INTRUSIONS[fault.kind] not in names:
+        complaints.append(f"stopped by {names}, not by {_INTRUSIONS[fault.kind]}")
     return complaints

@@ -24,6 +24,33 @@ class FaultKind(enum.StrEnum):
     OVER_TEMPERATURE = "over_temperature"
     WRONG_RANGES = "wrong_ranges"
     CONTROL_MODE = "control_mode"
+    OTHER_MASTER = "other_master"  # somebody else commands a motor
+    LIMP_MASTER = "limp_master"  # somebody else takes a motor's stiffness
+    HIDDEN_MASTER = (
+        "hidden_master"  # somebody else commands a motor behind a filter: only its answers are seen
+    )
+    ONE_ORDER = "one_order"  # somebody else sends one command, lifecycle frame or write
+    REPLAYED = "replayed"  # somebody sends our own commands again, 0.3 s late
+    SECOND_DRIVER = "second_driver"
+    BUSY_BUS = "busy_bus"  # foreign traffic for nobody here fills the bus
+    REBOOTED = "rebooted"  # a motor restarts
+    FROZEN = "frozen"  # the driver's process stands still, then goes on
+    KILLED = "killed"
+
+
+# What happens around the arm and its frames: acted out by `disturbances`.
+DISTURBANCES = (
+    FaultKind.OTHER_MASTER,
+    FaultKind.LIMP_MASTER,
+    FaultKind.HIDDEN_MASTER,
+    FaultKind.ONE_ORDER,
+    FaultKind.REPLAYED,
+    FaultKind.SECOND_DRIVER,
+    FaultKind.BUSY_BUS,
+    FaultKind.REBOOTED,
+    FaultKind.FROZEN,
+    FaultKind.KILLED,
+)
 
 
 @dataclass(frozen=True)
@@ -32,8 +59,8 @@ class Fault:
 
     It lasts from `start` for `duration` [s, the arm's clock]. `motor_id` None means every motor. `rate` is
     the share of frames that a frame fault strikes. `magnitude` is the delay [s] of DELAYED, the error code of
-    MOTOR_ERROR, the temperature of OVER_TEMPERATURE, the mode that a DM motor is in for CONTROL_MODE and, for
-    WRONG_RANGES, the factor on the ranges that it reports.
+    MOTOR_ERROR, the temperature of OVER_TEMPERATURE, the mode that a DM motor is in for CONTROL_MODE, the
+    commands per second of another master and, for WRONG_RANGES, the factor on the ranges that a motor reports.
     """
 
     kind: FaultKind
@@ -131,6 +158,23 @@ def random_fault(
     elif kind is FaultKind.CONTROL_MODE:
         motor_id, magnitude = int(random.integers(4, 8)), float(random.integers(2, 5))
         duration = math.inf
+    elif kind in DISTURBANCES:
+        motor_id, magnitude, start, duration = _random_disturbance(random, kind, start, duration)
     elif kind is FaultKind.BUS_OFF:
         motor_id = None
     return Fault(kind, motor_id, start, duration, rate, magnitude)
+
+
+def _random_disturbance(
+    random: np.random.Generator, kind: FaultKind, start: float, duration: float
+) -> tuple[int, float, float, float]:
+    """Motor, frames a second, start and duration."""
+    motor_id = int(random.integers(4 if kind is FaultKind.REBOOTED else 1, 8))
+    rate = float(random.choice((20.0, 50.0, 250.0)))
+    if kind in (FaultKind.OTHER_MASTER, FaultKind.HIDDEN_MASTER):
+        # A third of them are there before the driver; one that only shows in answers takes its time to show.
+        start = 0.0 if random.random() < 0.33 else start
+        duration = 1.15
+    elif kind is FaultKind.KILLED:
+        duration = math.inf
+    return motor_id, rate, start, duration

@@ -180,6 +180,14 @@ class SimulatedMotor:
         self.commanded = None
         self.body.release(_BRAKE[self.codec.family])
 
+    def reboot(self) -> None:
+        """Start anew, as after a loss of power: no law, registers that were not saved as delivered."""
+        self.enabled, self.error = isinstance(self.codec, OdMotor), 0
+        self.control_mode = 0 if isinstance(self.codec, DmMotor) else MIT_MODE
+        self.timeout = _VENDOR_TIMEOUT[self.codec.family]
+        self._heard = self.commanded = None
+        self.body.release(0.0)
+
     def watch(self, now: float) -> None:
         """Let go when no command has come for the motor's timeout.
 
