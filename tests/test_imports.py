@@ -12,9 +12,10 @@ ROOT = Path(__file__).resolve().parents[1]
 # Each room and the rooms that it may import; what is imported for annotations only counts nowhere.
 _FOUNDATION = {"kinematics", "guidance"}
 _POLICY = {"configuration", "batches", "policy", "inference", "checkpoints"}
-_LEARNING = _FOUNDATION | _POLICY | {"solvers", "data", "evaluation", "serving", "publishing"}
+_LEARNING = _FOUNDATION | _POLICY | {"outputs", "solvers", "data", "evaluation", "serving", "publishing"}
 _DRIVER = {"clock", "can", "airbot"}
 ALLOWED = {
+    "outputs": set(),  # how commands treat folders that exist
     "kinematics": set(),
     "guidance": {"kinematics"},
     "configuration": {"kinematics"},
@@ -28,8 +29,8 @@ ALLOWED = {
     "inference": {"kinematics", "policy"},
     "checkpoints": {"configuration", "policy"},
     "solvers": _FOUNDATION | {"inference", "checkpoints"},
-    "data": {"kinematics"},
-    "evaluation": _FOUNDATION | {"configuration", "solvers", "data", "checkpoints"},
+    "data": {"kinematics", "outputs"},
+    "evaluation": _FOUNDATION | {"outputs", "configuration", "solvers", "data", "checkpoints"},
     "serving": {"kinematics", "solvers"},
     "publishing": {"kinematics", "configuration", "evaluation"},
     "cli": _LEARNING,
