@@ -22,41 +22,51 @@ def joint_columns(
     width: int,
     joint_names: Sequence[str],
     requested: Sequence[str] | None = None,
+    option: str = "--policy.state_joint_names",
 ) -> list[int]:
     """Positions of the arm's joints in a dataset column.
 
-    They are found by the requested names; without these by the URDF's joint names; and where none of the
-    names is known, the joints are taken to come first, in order, as in most datasets.
+    They are found by the requested names, without these by the URDF's joint names; never by their position,
+    unless the request is for positions.
 
     Args:
         feature: name of the column, for messages.
         names: the column's element names, or None where the dataset gives none.
         width: number of elements.
         joint_names: the arm's joints, in order.
-        requested: element names that the user gave, in joint order.
+        requested: element names that the user gave, in joint order, or positions such as ``"0"``.
+        option: what the user gives them by, for messages.
 
     Returns:
         One index for each joint.
 
     Raises:
-        ValueError: if a requested name does not exist or the column is too narrow.
+        ValueError: if a requested name does not exist, a joint is not found or the column is too narrow.
     """
+    given = list(names or ())
     if requested is not None:
         if len(requested) != len(joint_names):
             raise ValueError(
                 f"{feature}: {len(requested)} names {list(requested)} for {len(joint_names)} joints"
             )
-        missing = [name for name in requested if name not in (names or ())]
+        positions = {name: i for i, name in enumerate(given)}
+        positions |= {str(i): i for i in range(width) if str(i) not in positions}
+        missing = [name for name in requested if name not in positions]
         if missing:
-            raise ValueError(f"{feature} has no elements {missing}; it has {list(names or ())}")
-        return [list(names or ()).index(name) for name in requested]
-    canonical = [_canonical(name) for name in names or ()]
+            raise ValueError(f"{feature} has no elements {missing}; it has {given or width}")
+        return [positions[name] for name in requested]
+    canonical = [_canonical(name) for name in given]
     wanted = [_canonical(name) for name in joint_names]
     if all(name in canonical for name in wanted):
         return [canonical.index(name) for name in wanted]
     if width < len(joint_names):
         raise ValueError(
-            f"{feature} has {width} elements {list(names or ())}, fewer than the arm's {len(joint_names)} "
-            f"joints {list(joint_names)}"
+            f"{feature} has {width} elements {given}, fewer than the arm's {len(joint_names)} "
+            f"joints {list(joint_names)}: is it another arm's? --policy.urdf says which"
         )
-    return list(range(len(joint_names)))
+    example = [str(i) for i in range(len(joint_names))] if not given else given[: len(joint_names)]
+    raise ValueError(
+        f"{feature} has {f'the elements {given}' if given else f'{width} elements without names'}; the arm's "
+        f"joints are {list(joint_names)}. If it is another arm's dataset, name the arm: --policy.urdf=...; if only "
+        f"the names differ, give them in joint order: {option}=[{','.join(example)}]"
+    )

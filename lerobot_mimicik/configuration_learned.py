@@ -1,6 +1,8 @@
 """Configuration shared by every learned policy here: the arm, the dataset's columns, loss and training."""
 
+import logging
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
@@ -10,7 +12,11 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_mimicik.columns import flat_names, joint_columns
 from lerobot_mimicik.configuration_reasons import check_types, reasons_for_users
-from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
+from lerobot_mimicik.kinematics.arms import ArmDescription, arm_of_dataset, describe_arm
+from lerobot_mimicik.kinematics.plausibility import why_not_same_arm
+
+_logger = logging.getLogger(__name__)
+_DEFAULT_ARM = "airbot_play"
 
 MAX_WEIGHTS = 500_000_000
 """Of a network; the paper's has 16 million. A configuration that asks for more is refused before it is built."""
@@ -44,8 +50,9 @@ class LearnedIKConfig(PreTrainedConfig):
     )
 
     # --- The arm. ---
-    # A shipped arm's name (airbot_play, piper), a path to a URDF, or the URDF itself; stored as text.
-    urdf: str = "airbot_play"
+    # A shipped arm's name (airbot_play, piper), a path to a URDF, or the URDF itself; stored as text. Empty: the
+    # arm that the training dataset names in its meta/arm.json, airbot_play where it names none.
+    urdf: str = ""
     base_link: str | None = None
     tip_link: str | None = None
     # Joints from base to tip unless given in another order.
@@ -63,7 +70,8 @@ class LearnedIKConfig(PreTrainedConfig):
     target_pose_key: str = "observation.ee_target"
     # Does the dataset record the target pose? Without it, training uses FK of the target joints.
     target_pose_recorded: bool = True
-    # Names of the joints in the state and in the action, in joint order; by default they are found by name.
+    # Names of the joints in the state and in the action, in joint order, or their positions ([0,1,2,...]); by
+    # default they are found by the arm's joint names, and the action's like the state's.
     state_joint_names: list[str] | None = None
     action_joint_names: list[str] | None = None
     # Found from the dataset: positions of the joints, and the commands' element names.
@@ -136,17 +144,38 @@ class LearnedIKConfig(PreTrainedConfig):
 
     def _store_arm(self) -> None:
         """Replaces a name or path by the URDF's text, so that the configuration needs no other file."""
-        arm = describe_arm(
-            self.urdf,
-            base_link=self.base_link,
-            tip_link=self.tip_link,
-            joint_names=self.joint_names,
-            tool_offset=self.tool_offset or None,
-        )
+        self._no_joints = ""
+        self._asked: dict[str, Any] = {
+            "base_link": self.base_link,
+            "tip_link": self.tip_link,
+            "joint_names": self.joint_names,
+            "tool_offset": self.tool_offset or None,
+        }
+        self._arm_is_asked = bool(self.urdf)
+        self._take_arm(describe_arm(self.urdf or _DEFAULT_ARM, **self._asked))
+
+    def _take_arm(self, arm: ArmDescription) -> None:
         if len(arm.joint_names) > MAX_JOINTS:
             raise ValueError(f"the arm has {len(arm.joint_names)} joints: expected at most {MAX_JOINTS}")
         self.urdf, self.base_link, self.tip_link = arm.urdf, arm.base_link, arm.tip_link
         self.joint_names, self.tool_offset = list(arm.joint_names), list(arm.tool_offset)
+
+    def use_dataset(self, root: str | Path, features: dict[str, dict[str, Any]]) -> None:
+        """Takes the arm of the training dataset, unless another one was asked for, and finds its columns.
+
+        Raises:
+            ValueError: if a column is missing, or the joints are not the arm's; the message lists what exists.
+        """
+        own = arm_of_dataset(root)
+        if own is not None and not self._arm_is_asked:
+            asked = {name: value or getattr(own, name) for name, value in self._asked.items()}
+            self._take_arm(describe_arm(own.urdf, **asked))
+        elif own is not None:
+            reason = why_not_same_arm(self.arm_description(), own)
+            if reason is not None:
+                _logger.warning("%s was made for another arm than --policy.urdf: %s", root, reason)
+        self._arm_is_asked = True  # now it is known, and joints that are not its own are an error
+        self.set_dataset_feature_metadata(features)
 
     def arm_description(self) -> ArmDescription:
         """The arm this policy moves."""
@@ -178,10 +207,15 @@ class LearnedIKConfig(PreTrainedConfig):
                 f"the dataset has no {ACTION!r} column; it has {sorted(features)}. "
                 "Use --policy.target=next_state for recordings without commands"
             )
-        self.state_joint_columns = self._columns(features, OBS_STATE, self.state_joint_names)
         commands = ACTION if self.target == "action" else OBS_STATE
-        names = self.action_joint_names if self.target == "action" else self.state_joint_names
-        self.action_joint_columns = self._columns(features, commands, names)
+        try:
+            self._find_joints(features, commands)
+        except ValueError as error:
+            if self._arm_is_asked:
+                raise
+            self._no_joints = str(error)  # LeRobot tells only the policy which dataset this is: `use_dataset`
+            return
+        self._no_joints = ""
         self.action_names = flat_names(features[commands].get("names"))
         if self.current_pose_key not in features:
             self.current_pose_key = None
@@ -197,8 +231,21 @@ class LearnedIKConfig(PreTrainedConfig):
         width = int(features[commands]["shape"][-1])
         self.output_features = {ACTION: PolicyFeature(FeatureType.ACTION, (width,))}
 
+    def _find_joints(self, features: dict[str, dict[str, Any]], commands: str) -> None:
+        """Finds the joints among the elements of the state and of the commands."""
+        state_names = self.state_joint_names
+        self.state_joint_columns = self._columns(features, OBS_STATE, state_names, "state_joint_names")
+        action_names = self.action_joint_names if commands == ACTION else state_names
+        try:
+            self.action_joint_columns = self._columns(features, commands, action_names, "action_joint_names")
+        except ValueError:
+            if action_names is not None or state_names is None:
+                raise
+            # Named for the state only: commands are mostly called the same.
+            self.action_joint_columns = self._columns(features, commands, state_names, "action_joint_names")
+
     def _columns(
-        self, features: dict[str, dict[str, Any]], key: str, requested: list[str] | None
+        self, features: dict[str, dict[str, Any]], key: str, requested: list[str] | None, option: str
     ) -> list[int]:
         feature = features[key]
         return joint_columns(
@@ -207,6 +254,7 @@ class LearnedIKConfig(PreTrainedConfig):
             int(feature["shape"][-1]),
             self.joint_names or [],
             requested,
+            f"--policy.{option}",
         )
 
     def validate_features(self) -> None:
@@ -215,6 +263,8 @@ class LearnedIKConfig(PreTrainedConfig):
         Raises:
             ValueError: if the joints have no place in the state.
         """
+        if self._no_joints:
+            raise ValueError(self._no_joints)
         state = (self.input_features or {}).get(OBS_STATE)
         if state is not None and state.shape[-1] < self.dof:
             raise ValueError(f"{OBS_STATE} has {state.shape[-1]} elements, the arm has {self.dof} joints")

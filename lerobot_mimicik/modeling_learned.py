@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from lerobot_mimicik.batches.frames import FrameReader
 from lerobot_mimicik.batches.loading import FrameTable, read_batched
+from lerobot_mimicik.batches.plausible import check_table
 from lerobot_mimicik.batches.statistics import RunningRange, iterate_frames
 from lerobot_mimicik.conditioning import CONDITIONINGS
 from lerobot_mimicik.configuration_learned import MAX_WEIGHTS, LearnedIKConfig
@@ -63,6 +64,8 @@ class LearnedIKPolicy(PreTrainedPolicy):
                 f"got {config.type!r}"
             )
         super().__init__(config)
+        if dataset_meta is not None:
+            config.use_dataset(dataset_meta.root, dataset_meta.features)
         config.validate_features()
         self.config: LearnedIKConfig = config
         self._arm = SerialArm(config.arm_description(), dtype=torch.float32)
@@ -106,15 +109,15 @@ class LearnedIKPolicy(PreTrainedPolicy):
 
     def _prepare_training(self, meta: LeRobotDatasetMetadata) -> None:
         dataset = read_batched(meta) if self.config.batched_reads else None
-        if self.config.pretrained_path is not None:
-            return  # the checkpoint's statistics belong to its weights
         if dataset is not None:
             table = dataset.frame_table
         else:
             from lerobot.datasets import LeRobotDataset
 
             table = FrameTable(LeRobotDataset(meta.repo_id, root=meta.root))
-        self.fit_normalisation(table)
+        check_table(table, self.config, str(meta.root))
+        if self.config.pretrained_path is None:  # else the checkpoint's statistics belong to its weights
+            self.fit_normalisation(table)
 
     def fit_normalisation(self, table: FrameTable) -> None:
         """Sets every normaliser from recorded frames.

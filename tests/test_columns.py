@@ -12,9 +12,15 @@ def test_by_joint_name_whatever_the_separators_and_the_order():
     assert joint_columns("observation.state", names, 4, JOINTS) == [2, 1, 3]
 
 
-def test_first_elements_where_names_are_unknown():
-    assert joint_columns("observation.state", ["a", "b", "c", "d"], 4, JOINTS) == [0, 1, 2]
-    assert joint_columns("observation.state", None, 4, JOINTS) == [0, 1, 2]
+@pytest.mark.parametrize("names", [["a", "b", "c", "d"], None])
+def test_the_first_elements_are_taken_only_where_the_user_says_so(names):
+    with pytest.raises(
+        ValueError, match=r"joints are \['joint1', .*--policy.state_joint_names=\[[0a],[1b],[2c]\]"
+    ):
+        joint_columns("observation.state", names, 4, JOINTS)
+    assert joint_columns("observation.state", names, 4, JOINTS, ["0", "1", "2"]) == [0, 1, 2]
+    with pytest.raises(ValueError, match=r"no elements \['4'\]"):
+        joint_columns("observation.state", names, 4, JOINTS, ["0", "1", "4"])
 
 
 def test_requested_names_win():

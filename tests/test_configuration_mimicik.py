@@ -11,6 +11,7 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.kinematics.arms import describe_arm
 
+JOINTS = [f"joint{i}" for i in range(1, 7)]
 CONFIGS = Path(__file__).parent.parent / "configs"
 
 
@@ -59,12 +60,12 @@ def test_urdf_may_be_a_path(tmp_path):
 def test_dataset_without_joints_or_commands_is_refused():
     config = MimicIKConfig(device="cpu")
     with pytest.raises(ValueError, match=r"no 'observation.state'.*\['action'\]"):
-        config.set_dataset_feature_metadata({"action": {"shape": (6,), "names": None}})
-    state = {"observation.state": {"shape": (6,), "names": None}}
+        config.set_dataset_feature_metadata({"action": {"shape": (6,), "names": JOINTS}})
+    state = {"observation.state": {"shape": (6,), "names": JOINTS}}
     with pytest.raises(ValueError, match="next_state"):
         config.set_dataset_feature_metadata(state)
     short = state | {
-        "action": {"shape": (6,), "names": None},
+        "action": {"shape": (6,), "names": JOINTS},
         "observation.ee_target": {"shape": (6,), "names": None},
     }
     with pytest.raises(ValueError, match=r"observation\.ee_target has 6 elements"):
@@ -73,9 +74,9 @@ def test_dataset_without_joints_or_commands_is_refused():
 
 def test_cameras_are_left_alone():
     features = {
-        "observation.state": {"shape": (6,), "names": None},
+        "observation.state": {"shape": (6,), "names": JOINTS},
         "observation.images.top": {"shape": (480, 640, 3), "names": None},
-        "action": {"shape": (6,), "names": None},
+        "action": {"shape": (6,), "names": JOINTS},
     }
     config = MimicIKConfig(device="cpu")
     config.set_dataset_feature_metadata(features)
@@ -148,3 +149,66 @@ def test_an_arm_of_a_hundred_joints_is_refused():
     urdf = f"<robot name='r'>{links}{''.join(joint.format(i, i + 1) for i in range(100))}</robot>"
     with pytest.raises(ValueError, match="100 joints: expected at most 32"):
         MimicIKConfig(device="cpu", urdf=urdf)
+
+
+def features(names, commands=None):
+    return {
+        "observation.state": {"shape": (len(names),), "names": names},
+        "action": {"shape": (len(commands or names),), "names": commands or names},
+    }
+
+
+def test_the_arm_is_the_datasets_own_unless_another_is_asked_for(tmp_path, caplog):
+    piper = describe_arm("piper")
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "arm.json").write_text(piper.to_json())
+    config = MimicIKConfig(device="cpu", tool_offset=[0.1, 0.0, 0.0])
+    config.use_dataset(tmp_path, features(JOINTS))
+    assert config.arm_description().urdf == piper.urdf
+    assert config.arm_description().tip_link == piper.tip_link
+    assert config.tool_offset == [0.1, 0.0, 0.0]
+    asked = MimicIKConfig(device="cpu", urdf="airbot_play")
+    asked.use_dataset(tmp_path, features(JOINTS))
+    assert asked.arm_description().urdf == describe_arm("airbot_play").urdf
+    assert "another arm than --policy.urdf" in caplog.text
+    config.save_pretrained(tmp_path / "saved")
+    saved = PreTrainedConfig.from_pretrained(tmp_path / "saved")
+    saved.use_dataset(tmp_path, features(JOINTS))
+    assert saved == config
+
+
+def test_a_damaged_arm_of_a_dataset_is_named(tmp_path):
+    (tmp_path / "meta").mkdir()
+    for text in ("{", "[]", '{"urdf": "<robot/>", "base_link": "a", "tip_link": "b", "joint_names": []}'):
+        (tmp_path / "meta" / "arm.json").write_text(text)
+        with pytest.raises(ValueError, match=r"meta/arm\.json describes no arm"):
+            MimicIKConfig(device="cpu").use_dataset(tmp_path, features(JOINTS))
+
+
+@pytest.mark.parametrize("urdf", ["", "airbot_play"])
+def test_joints_that_are_not_the_arms_are_refused(tmp_path, urdf):
+    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+
+    other = features(["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"])
+    config = MimicIKConfig(device="cpu", urdf=urdf)
+    message = (
+        r"elements \['shoulder_pan', .*joints are \['joint1', .*--policy.urdf=.*--policy.state_joint_names="
+    )
+    with pytest.raises(ValueError, match=message):
+        config.use_dataset(tmp_path, other)
+
+    def as_lerobot_asks():
+        config = MimicIKConfig(device="cpu", urdf=urdf)
+        config.set_dataset_feature_metadata(other)
+        MimicIKPolicy(config)
+
+    with pytest.raises(ValueError, match=message):
+        as_lerobot_asks()
+
+
+def test_joints_may_be_named_by_the_user_for_state_and_action_at_once(tmp_path):
+    names = ["grip", *"abcdef"]
+    for chosen in (list("abcdef"), ["1", "2", "3", "4", "5", "6"]):
+        config = MimicIKConfig(device="cpu", state_joint_names=chosen)
+        config.use_dataset(tmp_path, features(names))
+        assert config.state_joint_columns == config.action_joint_columns == [1, 2, 3, 4, 5, 6]

@@ -115,3 +115,50 @@ def test_the_beginning_of_a_set():
     assert [each.index for each in first_seconds(whole, of_each=2, in_all=1).trajectories] == [3]
     with pytest.raises(ValueError, match="less than a frame"):
         first_seconds(whole, of_each=0.01)
+
+
+def change_column(root, name, change):
+    """Rewrites a column of a dataset's only file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    (file,) = (root / "data").glob("*/*.parquet")
+    table = pq.read_table(file)
+    values = np.array(table[name].to_pylist())
+    change(values)
+    column = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), pa.float32()), values.shape[1])
+    index = table.schema.get_field_index(name)
+    pq.write_table(table.set_column(index, table.schema.field(index).with_type(column.type), column), file)
+
+
+def test_numbers_that_are_not_finite_are_named_by_column_and_episode(tmp_path):
+    write(tmp_path / "data", [12, 7])
+
+    def spoil(values):
+        values[15, 1] = np.nan
+
+    change_column(tmp_path / "data", "observation.state", spoil)
+    with pytest.raises(ValueError, match=r"observation\.state is not finite .* joint2 in episode 1, frame 3"):
+        load_trajectories(tmp_path / "data", airbot())
+    assert len(load_trajectories(tmp_path / "data", airbot(), episodes=[0]).trajectories) == 1
+
+
+def test_degrees_read_as_radians_are_refused_with_the_option(tmp_path):
+    write(tmp_path / "data", [12])
+
+    def to_degrees(values):
+        values[:] = np.degrees(values)
+
+    change_column(tmp_path / "data", "observation.state", to_degrees)
+    with pytest.raises(ValueError, match=r"these are degrees.*--joint_units=deg.*--policy\.joint_units=deg"):
+        load_trajectories(tmp_path / "data", airbot())
+
+
+def test_another_arms_dataset_is_refused_unless_the_user_names_the_arm(tmp_path):
+    from lerobot_mimicik.kinematics.arms import describe_arm
+
+    write(tmp_path / "data", [5])
+    (tmp_path / "data" / "meta" / "arm.json").write_text(describe_arm("piper").to_json())
+    with pytest.raises(ValueError, match=r"another arm \(meta/arm\.json\) than it is read for"):
+        load_trajectories(tmp_path / "data", airbot())
+    assert load_trajectories(tmp_path / "data", airbot(), Layout(any_arm=True)).frames == 5

@@ -27,6 +27,9 @@ class BenchConfig:
     joint_units: str = "rad"
     # Target joints are the recorded action, or the next_state.
     target: str = "action"
+    # Elements of the datasets' states and actions that are the joints, in joint order and separated by commas, or
+    # their positions (0,1,2,...); empty: found by the arm's joint names.
+    state_joint_names: str = ""
     # Episodes to train on and to measure on, as numbers and ranges such as 0-9,12; empty: all of them.
     train_episodes: str = ""
     episodes: str = ""
@@ -84,6 +87,7 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
         arm=config.urdf,
         joint_units=config.joint_units,
         target=config.target,
+        state_joint_names=tuple(words(config.state_joint_names)),
         train_episodes=tuple(numbers(config.train_episodes, "--train_episodes")),
         episodes=tuple(numbers(config.episodes, "--episodes")),
         solvers=tuple(dict.fromkeys(words(config.solvers))),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import draccus
@@ -51,6 +51,8 @@ class EvalConfig:
     solvers: str = "mimicik,hold"
     # Episodes to use, as numbers and ranges such as 0-9,12; empty: all of them.
     episodes: str = ""
+    # The datasets' joints: rad or deg; empty: as the checkpoint was trained, rad without one.
+    joint_units: str = ""
     # For solvers that draw noise.
     seed: int = 0
     # Where the policy runs (cpu, cuda, mps); empty: as its configuration says.
@@ -120,6 +122,9 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
         names = list(dict.fromkeys(kind if name in learned else name for name in names))
     description = policy.config.arm_description() if policy is not None else _arm_of_dataset(roots[0])
     layout = Layout.of_policy(policy.config) if policy is not None else Layout()
+    if config.joint_units:
+        (units,) = _known([config.joint_units], ("rad", "deg"), "--joint_units")
+        layout = replace(layout, joint_units=units)
     arm = SerialArm(description, dtype=torch.float64)
     episodes = numbers(config.episodes, "--episodes") or None
     recordings = [

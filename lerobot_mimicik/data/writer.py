@@ -22,18 +22,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from lerobot_mimicik import outputs
-
-if TYPE_CHECKING:
-    from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.arms import ARM_FILE, ArmDescription, arm_of_dataset
 
 POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 GRIPPER_NAME = "gripper.pos"
-ARM_FILE = "meta/arm.json"
 # Only in datasets whose joints were recorded; in all others made here they were generated or computed.
 LOG_FILE = "meta/joint_log.json"
 SPACES = ("joints", "ee")
@@ -151,13 +148,14 @@ def read_arm_json(root: str | Path) -> ArmDescription:
 
     Raises:
         FileNotFoundError: the dataset has no such file (it was not written by this project).
+        ValueError: the file is damaged.
     """
-    from lerobot_mimicik.kinematics.arms import ArmDescription
-
-    path = Path(root) / ARM_FILE
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is missing: the dataset does not say for which arm it is")
-    return ArmDescription.from_json(path.read_text())
+    description = arm_of_dataset(root)
+    if description is None:
+        raise FileNotFoundError(
+            f"{Path(root) / ARM_FILE} is missing: the dataset does not say for which arm it is"
+        )
+    return description
 
 
 def import_lerobot() -> None:

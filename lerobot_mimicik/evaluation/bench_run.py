@@ -51,7 +51,7 @@ class BenchOptions:
         datasets: Folders of the LeRobot datasets to measure on.
         train: Folder of the LeRobot dataset to train on; it names the arm.
         arm: A shipped arm or the path of a URDF, where the datasets do not name it.
-        joint_units, target: As in `Layout`.
+        joint_units, target, state_joint_names: As in `Layout`; of the action too.
         train_episodes, episodes: Episodes to train and to measure on; empty: all of them.
         solvers: Rows, solvers by name and learned rows.
         modes: From `known_modes()`.
@@ -72,6 +72,7 @@ class BenchOptions:
     arm: str = ""
     joint_units: str = "rad"
     target: str = "action"
+    state_joint_names: tuple[str, ...] = ()
     train_episodes: tuple[int, ...] = ()
     episodes: tuple[int, ...] = ()
     solvers: tuple[str, ...] = ("mimicik", "mimicik_nofk", "mlp", "unet_diffusion", "hold")
@@ -181,7 +182,12 @@ def _arm(options: BenchOptions) -> ArmDescription:
 
 def _occasions(options: BenchOptions, arm: SerialArm) -> list[Occasion]:
     """Every dataset in every mode."""
-    layout = Layout(joint_units=options.joint_units, target=options.target)
+    layout = Layout(
+        joint_units=options.joint_units,
+        target=options.target,
+        state_joint_names=options.state_joint_names or None,
+        any_arm=bool(options.arm),
+    )
     occasions: list[Occasion] = []
     for root, name in zip(options.datasets, distinct_names(options.datasets), strict=True):
         whole = load_trajectories(root, arm, layout, options.episodes or None, name)

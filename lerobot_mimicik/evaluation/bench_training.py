@@ -117,6 +117,11 @@ def _data_options(options: BenchOptions) -> list[str]:
         *([f"--dataset.episodes={list(options.train_episodes)}"] if options.train_episodes else []),
         *([f"--policy.joint_units={options.joint_units}"] if options.joint_units != "rad" else []),
         *([f"--policy.target={options.target}"] if options.target != "action" else []),
+        *(
+            [f"--policy.state_joint_names={json.dumps(options.state_joint_names)}"]
+            if options.state_joint_names
+            else []
+        ),
     ]
 
 

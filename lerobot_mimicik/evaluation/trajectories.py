@@ -10,10 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from lerobot_mimicik.columns import flat_names, joint_columns
 from lerobot_mimicik.data.writer import CLEAN_KEY, CLOSEST_KEY
+from lerobot_mimicik.kinematics.arms import ARM_FILE, arm_of_dataset
 from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.kinematics.plausibility import why_not_same_arm
+from lerobot_mimicik.kinematics.recorded import Column, check_recorded
 from lerobot_mimicik.solvers.base import Array
 
 if TYPE_CHECKING:
@@ -88,7 +92,8 @@ class Layout:
         target: Target joints where no pose is recorded: "action", or the "next_state".
         target_pose_key: Column of the target pose; FK of the target joints where a dataset lacks it.
         state_joint_names: Elements of the state that are the joints, in joint order; None finds them by name.
-        action_joint_names: The same for the action.
+        action_joint_names: The same for the action; None is as the state.
+        any_arm: The user names the arm, whatever the dataset says.
     """
 
     joint_units: str = "rad"
@@ -96,6 +101,7 @@ class Layout:
     target_pose_key: str = "observation.ee_target"
     state_joint_names: Sequence[str] | None = None
     action_joint_names: Sequence[str] | None = None
+    any_arm: bool = False
 
     @classmethod
     def of_policy(cls, config: LearnedIKConfig) -> Layout:
@@ -127,7 +133,8 @@ def load_trajectories(
 
     Raises:
         FileNotFoundError: If ``root`` is no LeRobot dataset.
-        ValueError: If columns or episodes are missing; the message lists what exists.
+        ValueError: If columns or episodes are missing (the message lists what exists), or the numbers cannot be
+            this arm's: another arm's dataset, another unit, not finite.
     """
     from lerobot.datasets import LeRobotDatasetMetadata
 
@@ -137,20 +144,32 @@ def load_trajectories(
             f"{root} is not a LeRobot dataset: {root / 'meta/info.json'} does not exist."
             + _nearby_datasets(root)
         )
+    own = None if layout.any_arm else arm_of_dataset(root)
+    reason = None if own is None else why_not_same_arm(arm.description, own)
+    if reason is not None:
+        raise ValueError(f"{root} was recorded with another arm ({ARM_FILE}) than it is read for: {reason}.")
     meta = LeRobotDatasetMetadata(f"local/{root.name}", root=root)
     columns = _read_columns(root, _wanted(meta.features, layout))
     joints = _joints(_STATE, columns, meta.features, arm, layout.state_joint_names, layout.joint_units)
-    if layout.target_pose_key in columns:
-        pose = columns[layout.target_pose_key].astype(np.float64)
-    elif layout.target == "action":
-        names = layout.action_joint_names
-        pose = _fk(arm, _joints(_ACTION, columns, meta.features, arm, names, layout.joint_units))
+    recorded = (
+        columns[layout.target_pose_key].astype(np.float64) if layout.target_pose_key in columns else None
+    )
+    commands = None
+    if recorded is None and layout.target == "action":
+        names = layout.action_joint_names or layout.state_joint_names
+        commands = _joints(_ACTION, columns, meta.features, arm, names, layout.joint_units)
+    chosen = _episode_rows(columns["episode_index"], episodes, root)
+    _check(
+        arm, layout, root, [rows for _, rows in chosen], columns["episode_index"], joints, commands, recorded
+    )
+    if recorded is not None:
+        pose = recorded[:, :7]
     else:
-        pose = _fk(arm, np.roll(joints, -1, axis=0))
-    drop_last = layout.target_pose_key not in columns and layout.target == "next_state"
+        pose = _fk(arm, np.roll(joints, -1, axis=0) if commands is None else commands)
+    drop_last = recorded is None and layout.target == "next_state"
 
     trajectories = []
-    for index, rows in _episode_rows(columns["episode_index"], episodes, root):
+    for index, rows in chosen:
         # The last frame of an episode has no next state to aim at.
         rows = slice(rows.start, rows.stop - 1) if drop_last else rows
         if rows.stop > rows.start:
@@ -244,6 +263,40 @@ def _joints(
     picked = joint_columns(key, names, columns[key].shape[1], arm.joint_names, requested)
     joints = columns[key][:, picked].astype(np.float64)
     return np.radians(joints) if units == "deg" else joints
+
+
+def _check(
+    arm: SerialArm,
+    layout: Layout,
+    root: Path,
+    chosen: list[slice],
+    episode: NDArray[np.integer],
+    joints: Array,
+    commands: Array | None,
+    poses: Array | None,
+) -> None:
+    """Refuse a dataset that cannot be of this arm, as far as the chosen episodes tell."""
+    if not chosen:
+        return
+
+    def column(name: str, values: Array | None, elements: Sequence[str]) -> Column | None:
+        if values is None:
+            return None
+        return Column(name, np.concatenate([values[rows, : len(elements)] for rows in chosen]), elements)
+
+    measured = column(_STATE, joints, arm.joint_names)
+    assert measured is not None
+    check_recorded(
+        arm.description,
+        np.concatenate([episode[rows] for rows in chosen]),
+        measured,
+        column(_ACTION, commands, arm.joint_names),
+        target_pose=column(layout.target_pose_key, poses, ("x", "y", "z", "qx", "qy", "qz", "qw")),
+        where=str(root),
+        joints_remedy="--joint_units=deg reads the dataset in degrees, in training --policy.joint_units=deg."
+        if layout.joint_units == "rad"
+        else "--joint_units=rad reads the dataset in radians, in training --policy.joint_units=rad.",
+    )
 
 
 def _fk(arm: SerialArm, q: Array) -> Array:

@@ -92,6 +92,27 @@ class ArmDescription:
         return cls(**values)
 
 
+ARM_FILE = "meta/arm.json"
+"""Where a dataset that this project wrote says for which arm it is."""
+
+
+def arm_of_dataset(root: str | Path) -> ArmDescription | None:
+    """The arm that the dataset in a folder was written for; None where it does not say.
+
+    Raises:
+        ValueError: its file is damaged.
+    """
+    path = Path(root) / ARM_FILE
+    if not path.is_file():
+        return None
+    try:
+        description = ArmDescription.from_json(path.read_text(encoding="utf-8"))
+        description.chain()
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path} describes no arm: {error}") from error
+    return description
+
+
 _SHIPPED: dict[str, dict[str, Any]] = {
     # Wrist bent by 1 rad, elbow near a right angle, tool half a metre ahead and level.
     "airbot_play": {

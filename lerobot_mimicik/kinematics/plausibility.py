@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
+from lerobot_mimicik.kinematics.urdf import listed
 
 Array = NDArray[np.float64]
 
@@ -25,6 +26,8 @@ FAR_OUTSIDE_REACH = 5.0
 """Arm lengths: an operator's target may be out of reach, but not there; millimetres are a thousand times too far."""
 _ORDER_MISFIT, _ORDER_FIT = 0.5, 0.1
 """rad: between FK and poses in the wrong order of the quaternion, and in the right one."""
+_SAME_LENGTH, _SAME_ANGLE = 0.02, 0.1
+"""m, rad: a calibrated arm differs less from its drawing."""
 _ORDER_FRAMES = 1000
 """Frames, evenly spaced, that the order of the quaternion is judged by."""
 
@@ -123,6 +126,34 @@ def why_not_order(description: ArmDescription, joints: ArrayLike, poses: ArrayLi
                 f"w x y z {theirs:.2f} rad: they are in the order w x y z"
             )
     return None
+
+
+def why_not_same_arm(one: ArmDescription, other: ArmDescription) -> str | None:
+    """Why two descriptions are of different arms, or None: joints of other names, or axes that lie otherwise.
+
+    Links, tools, base and limits may differ, and lengths by what a calibration changes.
+    """
+    if one.joint_names != other.joint_names:
+        return f"joints {listed(one.joint_names)} and {listed(other.joint_names)}"
+    for ours, theirs in zip(_between_axes(one), _between_axes(other), strict=True):
+        if abs(ours[0] - theirs[0]) > _SAME_LENGTH or abs(ours[1] - theirs[1]) > _SAME_ANGLE:
+            return (
+                f"two successive joint axes are {ours[0] * 1e3:.0f} mm and {ours[1]:.2f} rad apart in one, "
+                f"{theirs[0] * 1e3:.0f} mm and {theirs[1]:.2f} rad in the other"
+            )
+    return None
+
+
+def _between_axes(description: ArmDescription) -> list[tuple[float, float]]:
+    """Distance [m] and angle [rad] between the axes of each joint and the next, which no frames change."""
+    found = []
+    for rotation, position in array_chain(description).steps[1:]:
+        axis = rotation[:, 2]
+        normal = np.cross([0.0, 0.0, 1.0], axis)
+        sine = float(np.linalg.norm(normal))
+        distance = abs(position @ normal) / sine if sine > 1e-3 else np.linalg.norm(position[:2])
+        found.append((float(distance), float(np.arctan2(sine, axis[2]))))
+    return found
 
 
 def check_plausible(
