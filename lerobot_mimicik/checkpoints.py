@@ -19,7 +19,7 @@ LEARNED = ("mimicik", "mimicik_nofk", "mlp", "unet_diffusion")
 
 
 def kind_of(config: LearnedIKConfig) -> str:
-    """What tables call a checkpoint with this configuration, one of ``LEARNED``."""
+    """What tables call a checkpoint with this configuration, one of `LEARNED`."""
     kind = _KINDS[config.type]
     return "mimicik_nofk" if kind == "mimicik" and config.fk_weight == 0 else kind
 
@@ -49,7 +49,7 @@ def find_checkpoint(path: str) -> str:
 
 
 def load_policy(path: str, device: str | None = None) -> LearnedIKPolicy:
-    """Load a policy of any learned kind from ``find_checkpoint(path)``, onto a device if one is given.
+    """Load a policy of any learned kind from `find_checkpoint(path)`, onto a device if one is given.
 
     Raises:
         FileNotFoundError: If there is no checkpoint.

@@ -1,7 +1,7 @@
 """What the network is told: the normalised observation of a frame.
 
-- ``paper``: q, current pose, target pose (20 numbers for six joints).
-- ``relative``: q, current pose, and the target relative to it: translation difference in the base frame
+- `paper`: q, current pose, target pose (20 numbers for six joints).
+- `relative`: q, current pose, and the target relative to it: translation difference in the base frame
   and rotation vector of R_tgt R_curr^T (19 numbers), which spares the network the difference of two
   nearly equal poses. A target further away than training ever asked for becomes a step towards it.
 

@@ -20,7 +20,7 @@ class ExponentialAverage[Network: nn.Module](nn.Module):
 
     @torch.no_grad()
     def update(self, network: Network, step: int) -> None:
-        """Follows ``network`` after training step number ``step``, counted from zero."""
+        """Follows `network` after training step number `step`, counted from zero."""
         decay = min(self.decay, (1 + step) / (10 + step))
         averages = [average.detach() for average in self.network.parameters()]
         torch._foreach_lerp_(averages, [weight.detach() for weight in network.parameters()], 1 - decay)

@@ -73,6 +73,6 @@ class MimicIKPolicy(LearnedIKPolicy):
     def push_to_hub(self, repo_id: str, **options: Any) -> CommitInfo:
         """Uploads the policy, its processors, its card and its evaluation: see :func:`.hub.push_policy`.
 
-        What lies beside the weights is taken from where the policy was loaded, unless ``source`` says otherwise.
+        What lies beside the weights is taken from where the policy was loaded, unless `source` says otherwise.
         """
         return push_policy(self, repo_id, **({"source": self._source} | options))

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 
 class ObservationEncoder(nn.Module):
-    """MLP from a flattened observation history to one token of width ``d_model`` a frame."""
+    """MLP from a flattened observation history to one token of width `d_model` a frame."""
 
     def __init__(self, n_obs_steps: int, obs_dim: int, d_model: int):
         super().__init__()
@@ -131,7 +131,7 @@ class SuDeepDiT(nn.Module):
         obs_tokens: number of observation tokens T_o.
         action_dim: width of an action n_a.
         horizon: number of action tokens T_a.
-        d_model: hidden width d; even, and a multiple of ``n_heads``.
+        d_model: hidden width d; even, and a multiple of `n_heads`.
         n_layers: blocks in the encoder, and as many in the decoder.
         n_heads: attention heads.
         d_ff: feed-forward width.

@@ -38,7 +38,7 @@ def sample_uniform(index: Tensor, dim: int, *, seed: int, step: Tensor | int) ->
         step: training step.
 
     Returns:
-        float32, shape (B, dim), on the device of ``index``.
+        float32, shape (B, dim), on the device of `index`.
     """
     step = torch.as_tensor(step, dtype=torch.int64, device=index.device)
     key = _mix(_mix(_mix(torch.full_like(index, seed)) ^ step) ^ index)

@@ -1,7 +1,7 @@
 """Training objectives and their inference: MIP, conditional flow matching and plain regression.
 
 All three train the same network f(x, s, t | o) on normalised actions. A new objective is one class and
-one entry in ``OBJECTIVES``.
+one entry in `OBJECTIVES`.
 """
 
 from abc import ABC, abstractmethod

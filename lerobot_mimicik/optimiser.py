@@ -1,8 +1,8 @@
 """The optimiser as the FK consistency pass shares it: finding it, and stepping it once more.
 
 LeRobot builds the optimiser and never shows it to the policy, and its loop has one backward pass a step.
-The paper's second pass (own ``zero_grad``, own backward, own step of the same AdamW) therefore runs in the
-policy's ``update()`` hook, with the optimiser that was seen stepping the policy's weights.
+The paper's second pass (own `zero_grad`, own backward, own step of the same AdamW) therefore runs in the
+policy's `update()` hook, with the optimiser that was seen stepping the policy's weights.
 """
 
 from collections.abc import Callable, Iterable

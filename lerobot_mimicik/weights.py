@@ -36,7 +36,7 @@ def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], where: str | 
 
     Args:
         module: Built from the checkpoint's configuration.
-        tensors: By the names of ``module.state_dict()``.
+        tensors: By the names of `module.state_dict()`.
         where: The file they are from, for messages.
 
     Raises:

@@ -71,7 +71,7 @@ def trajectory(
 ) -> Trajectory:
     """Smooth motion of the AIRBOT Play whose target at t is the pose one frame later.
 
-    ``through_wrist`` lets joint 5 cross zero, where the wrist is singular; otherwise it stays away from it.
+    `through_wrist` lets joint 5 cross zero, where the wrist is singular; otherwise it stays away from it.
     """
     arm = airbot()
     home = np.array(arm.description.home)

@@ -22,7 +22,7 @@ _FRONT_MATTER = re.compile(r"---\s*\n(.*?)\n---\s*(\n|$)", re.DOTALL)
 
 @dataclass(frozen=True)
 class Blob:
-    """A file's content, in Git or, with ``lfs``, in the storage with a pointer in Git."""
+    """A file's content, in Git or, with `lfs`, in the storage with a pointer in Git."""
 
     content: bytes
     lfs: bool
@@ -56,7 +56,7 @@ class Repository:
     messages: list[str] = field(default_factory=list)
 
     def commit(self, files: dict[str, Blob], message: str) -> str:
-        """Adds a commit whose tree is ``files`` and returns its name."""
+        """Adds a commit whose tree is `files` and returns its name."""
         parent = self.head if self.commits else ""
         tree = "".join(f"{path} {blob.oid}\n" for path, blob in sorted(files.items()))
         name = hashlib.sha1(f"{parent}\n{message}\n{tree}".encode()).hexdigest()
@@ -84,7 +84,7 @@ class HubError(Exception):
 
 
 class Hub:
-    """What the server holds. ``tokens`` maps an access token to the user it belongs to."""
+    """What the server holds. `tokens` maps an access token to the user it belongs to."""
 
     def __init__(self, tokens: dict[str, str]) -> None:
         self.tokens = tokens

@@ -1,8 +1,8 @@
 """A Hub on loopback: the part of the Hugging Face Hub's HTTP interface that up- and downloads go through.
 
-Repositories of models with commits on ``main``, access by bearer token, private repositories, and large files
-that travel by Git LFS through a storage host of their own: here the Hub is ``127.0.0.1`` and the storage
-``localhost``, which refuses requests that carry the token. Errors have the Hub's status codes and headers.
+Repositories of models with commits on `main`, access by bearer token, private repositories, and large files
+that travel by Git LFS through a storage host of their own: here the Hub is `127.0.0.1` and the storage
+`localhost`, which refuses requests that carry the token. Errors have the Hub's status codes and headers.
 Not there: Xet, datasets, branches, pull requests.
 """
 
@@ -270,7 +270,7 @@ class _Server(ThreadingHTTPServer):
 
 @contextmanager
 def serve(tokens: dict[str, str]) -> Iterator[Hub]:
-    """Serves a new, empty Hub at ``hub.endpoint`` until the block ends."""
+    """Serves a new, empty Hub at `hub.endpoint` until the block ends."""
     hub = Hub(tokens)
     server = _Server(hub)
     thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)

@@ -31,7 +31,7 @@ def run_console(command: str, *options: str, timeout: float = 1500) -> str:
 
 
 def run_here(module: str, *options: str) -> str:
-    """Calls the `main` of a command's module, such as ``lerobot.scripts.lerobot_train``; what it printed."""
+    """Calls the `main` of a command's module, such as `lerobot.scripts.lerobot_train`; what it printed."""
     main = importlib.import_module(module).main
     printed, handlers, level = io.StringIO(), logging.root.handlers[:], logging.root.level
     try:

@@ -27,7 +27,7 @@ MEASURED = "user/mimicik-measured"
 
 @pytest.fixture(scope="module")
 def hub(tmp_path_factory):
-    """A Hub that this process's client is logged in to as ``user``."""
+    """A Hub that this process's client is logged in to as `user`."""
     with (
         serve({"hf_user": "user", "hf_stranger": "stranger"}) as served,
         pytest.MonkeyPatch.context() as patch,

@@ -14,7 +14,7 @@ DOF = airbot().dof
 
 
 def rollout(q_cmd, q_curr=None, offset_mm=None, turn_deg=0.0, asked=None):
-    """Commands (T, dof) whose targets lie ``offset_mm`` (T,) along x from where they lead."""
+    """Commands (T, dof) whose targets lie `offset_mm` (T,) along x from where they lead."""
     q_cmd = np.asarray(q_cmd, dtype=float)
     q_curr = q_cmd if q_curr is None else np.asarray(q_curr, dtype=float)
     reachable = np.where(np.isfinite(q_cmd), q_cmd, HOME)

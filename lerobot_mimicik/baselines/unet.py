@@ -64,7 +64,7 @@ class ConditionalUNet(nn.Module):
     Args:
         obs_dim: numbers in the observation history T_o * n.
         action_dim: width of an action n_a.
-        channels: channels of each resolution, from the finest; multiples of ``n_groups``.
+        channels: channels of each resolution, from the finest; multiples of `n_groups`.
         kernel_size: taps of a convolution, odd.
         n_groups: groups of channels that are normalised together.
         condition_dim: width of the embedded noise level and of the encoded observations, each; even.
@@ -104,7 +104,7 @@ class ConditionalUNet(nn.Module):
         self.final = nn.Conv1d(channels[0], action_dim, 1)
 
     def forward(self, x: Tensor, step: Tensor, obs: Tensor) -> Tensor:
-        """The noise in ``x``.
+        """The noise in `x`.
 
         Args:
             x: noisy normalised actions, shape (B, T_a, n_a).

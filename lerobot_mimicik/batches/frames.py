@@ -47,7 +47,7 @@ class FrameReader:
         """Reads a training batch with its time windows.
 
         Args:
-            batch: LeRobot batch with the windows of ``config.observation_delta_indices``.
+            batch: LeRobot batch with the windows of `config.observation_delta_indices`.
             arm: forward kinematics on the batch's device.
 
         Raises:

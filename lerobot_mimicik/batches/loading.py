@@ -2,7 +2,7 @@
 
 LeRobot reads a training sample frame by frame and column by column; on joint data that costs far more
 than the training step. torch's loader asks a dataset for a whole batch at once where the dataset offers
-``__getitems__``, so the datasets of a MimicIK run are given one that answers from columns in memory:
+`__getitems__`, so the datasets of a MimicIK run are given one that answers from columns in memory:
 the same numbers, already collated; no camera is decoded and no task sentence repeated. Only these objects
 change; LeRobot and the datasets of other policies stay as they are.
 """
@@ -97,7 +97,7 @@ class BatchedLeRobotDataset(LeRobotDataset):
         return {**self.__dict__, "_frame_table": None, "_asked": False}
 
     def __getitems__(self, indices: list[int]) -> list[CollatedBatch]:
-        """The numbers that collating ``[self[i] for i in indices]`` gives: no camera frames, no tasks.
+        """The numbers that collating `[self[i] for i in indices]` gives: no camera frames, no tasks.
 
         A list of one, as torch's loader hands a list to its collate function.
         """
@@ -121,10 +121,10 @@ def read_batched(meta: LeRobotDatasetMetadata) -> BatchedLeRobotDataset | None:
 
     LeRobot hands a policy the dataset's metadata but not the dataset, so the live datasets on the same
     files are looked up: the training split shares this very metadata object, the evaluation split has a
-    copy. Only their class changes, to a subclass that adds ``__getitems__``.
+    copy. Only their class changes, to a subclass that adds `__getitems__`.
 
     Returns:
-        The dataset that owns ``meta``, or None where there is none that can be read so (a streaming
+        The dataset that owns `meta`, or None where there is none that can be read so (a streaming
         dataset, or one with language columns).
     """
     training = None

@@ -20,7 +20,7 @@ class RunningRange:
         self.upper = torch.full((dim,), -torch.inf)
 
     def update(self, values: Tensor) -> None:
-        """Widens the range to hold ``values``, shape (N, dim)."""
+        """Widens the range to hold `values`, shape (N, dim)."""
         if len(values):
             self.lower = torch.minimum(self.lower, values.amin(dim=0))
             self.upper = torch.maximum(self.upper, values.amax(dim=0))

@@ -1,9 +1,9 @@
 """The `mimicik` console script: finds the subcommand's module and hands it the rest of the command line.
 
-A subcommand is a module with ``HELP``, one line on what it does, and ``main(argv)``; its name is the module's
-with dashes. Modules lie in the packages of the entry-point group ``mimicik.commands`` (this one, and that of
+A subcommand is a module with `HELP`, one line on what it does, and `main(argv)`; its name is the module's
+with dashes. Modules lie in the packages of the entry-point group `mimicik.commands` (this one, and that of
 the robot adapters, which this side never imports by name). They are imported only when their command runs; the
-lines of ``mimicik --help`` are read from their source text.
+lines of `mimicik --help` are read from their source text.
 """
 
 from __future__ import annotations

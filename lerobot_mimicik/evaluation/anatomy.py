@@ -33,7 +33,7 @@ class Ordeal:
     """One of the standard motions.
 
     Attributes:
-        name: The kind of singularity, or ``OUT_OF_REACH``.
+        name: The kind of singularity, or `OUT_OF_REACH`.
         trajectory: Targets at 20 Hz; its joints are those of the leading motion, and out of reach the first ones.
         worst: Frame at which the arm is in the singularity, or the target furthest away.
     """
@@ -83,7 +83,7 @@ def save_commands(path: Path, rollouts: Mapping[str, Rollout]) -> None:
 
 
 def load_commands(path: Path, ordeals: Sequence[Ordeal]) -> dict[str, Rollout]:
-    """What ``save_commands`` kept, as rollouts again.
+    """What `save_commands` kept, as rollouts again.
 
     Raises:
         ValueError: If the file is of other motions.

@@ -60,7 +60,7 @@ def plot_fk_weights(rows: Sequence[Mapping[str, Any]], default_weight: float) ->
 
     Args:
         rows: Of the benchmark, seeds apart.
-        default_weight: The weight of the row that is called plain ``mimicik``.
+        default_weight: The weight of the row that is called plain `mimicik`.
     """
     weights: dict[str, float] = {}
     for row in rows:

@@ -46,10 +46,10 @@ class Trace:
         rollout: What was measured.
         position_mm: Position error, (T,).
         rotation_deg: Rotation error, (T,).
-        max_dq: Largest absolute joint step from ``q_curr`` to ``q_cmd``, (T,), rad; inf where the command is
+        max_dq: Largest absolute joint step from `q_curr` to `q_cmd`, (T,), rad; inf where the command is
             not finite, NaN where none was asked for.
         outside_limits: Whether the command leaves the joint limits, (T,).
-        tool: ``T_base_tool`` of the command, (T, 7).
+        tool: `T_base_tool` of the command, (T, 7).
     """
 
     rollout: Rollout
@@ -69,7 +69,7 @@ class Trace:
 
 
 def measure(arm: SerialArm, rollouts: Sequence[Rollout]) -> list[Trace]:
-    """Measure rollouts frame by frame; ``arm`` should be float64, in the joint order of the rollouts."""
+    """Measure rollouts frame by frame; `arm` should be float64, in the joint order of the rollouts."""
     return [_measure_one(arm, rollout) for rollout in rollouts]
 
 
@@ -103,7 +103,7 @@ def jerk_of(commands: Array) -> Array:
 
 
 def summarise(traces: Sequence[Trace]) -> dict[str, float | int | None]:
-    """Metrics over all frames of all traces, by the keys of ``report.json``; None where nothing is finite.
+    """Metrics over all frames of all traces, by the keys of `report.json`; None where nothing is finite.
 
     Raises:
         ValueError: If there is no trace.
@@ -146,6 +146,6 @@ def _p95(values: Array) -> float:
 
 
 def _over_finite(reduce, values: Array) -> float | None:
-    """``reduce`` over the finite values, None where there are none."""
+    """`reduce` over the finite values, None where there are none."""
     finite = values[np.isfinite(values)]
     return float(reduce(finite)) if finite.size else None

@@ -42,7 +42,7 @@ class Plot:
     caption: str
 
     def save(self, folder: str | Path) -> Path:
-        """Write ``folder/name.png``; returns its path."""
+        """Write `folder/name.png`; returns its path."""
         path = Path(folder) / f"{self.name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         self.figure.savefig(path, dpi=150)

@@ -31,7 +31,7 @@ class TrainingLog:
     """Reads a training run's output line by line.
 
     LeRobot rounds the step that it prints ("1K"), so steps are counted: it prints a line whenever the step
-    is a multiple of ``log_freq``. ``TrainingLog(log_freq, step=start)`` begins a log.
+    is a multiple of `log_freq`. `TrainingLog(log_freq, step=start)` begins a log.
 
     Attributes:
         log_freq: Training steps between two lines.

@@ -103,11 +103,11 @@ def train_or_resume(
     logs: Path,
     say: Callable[[str], None] = print,
 ) -> int:
-    """Run `lerobot-train` up to ``steps``, from the last checkpoint if there is one.
+    """Run `lerobot-train` up to `steps`, from the last checkpoint if there is one.
 
     Args:
         fresh: Its command line for a new run.
-        run: Its output folder, named in ``fresh`` too. What a run without a checkpoint left in it is deleted, if it
+        run: Its output folder, named in `fresh` too. What a run without a checkpoint left in it is deleted, if it
             lies in a folder that this project marked.
         steps, log_freq, logs: As for `train`.
         say: Takes the command line that is run.

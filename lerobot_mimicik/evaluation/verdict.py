@@ -2,15 +2,15 @@
 
 A *singular passage* is a run of frames where the recorded arm's Jacobian, its linear rows divided by the
 arm's characteristic length so that all rows are per radian, has a smallest singular value below
-``SINGULAR_VALUE``; passages less than ``MERGE_S`` apart are one. The verdicts are
+`SINGULAR_VALUE`; passages less than `MERGE_S` apart are one. The verdicts are
 
 - *Diverged*: a command was not finite; or the error left 10 mm, never came back until the end of the
-  trajectory at least ``RETURN_S`` later, and grew: over the second half of that time its mean is over
-  ``LOST_MM``, or more than ``GROWTH`` times that over the first half;
-- *Singular*: a step over 0.5 rad (E-stop); or a frozen arm: within ``FROZEN_S`` no commanded joint moved
-  by ``FROZEN_RAD`` while the error stayed over 10 mm and the target went on by more than
-  ``TARGET_MOVED_MM`` or ``TARGET_MOVED_DEG``; or an error that did not return under 10 mm within
-  ``RETURN_S`` after a singular passage: the arm is caught;
+  trajectory at least `RETURN_S` later, and grew: over the second half of that time its mean is over
+  `LOST_MM`, or more than `GROWTH` times that over the first half;
+- *Singular*: a step over 0.5 rad (E-stop); or a frozen arm: within `FROZEN_S` no commanded joint moved
+  by `FROZEN_RAD` while the error stayed over 10 mm and the target went on by more than
+  `TARGET_MOVED_MM` or `TARGET_MOVED_DEG`; or an error that did not return under 10 mm within
+  `RETURN_S` after a singular passage: the arm is caught;
 - *Bounded*: none of these.
 
 An E-stop or a frozen arm comes before a growing error: what follows from them is their consequence. The
@@ -51,7 +51,7 @@ FAILURES = ("non-finite", "E-stop", "frozen", "caught", "lost")
 
 @dataclass(frozen=True)
 class Verdict:
-    """One of ``VERDICTS``, in words what decided it, and which of ``FAILURES`` that is ("" if none)."""
+    """One of `VERDICTS`, in words what decided it, and which of `FAILURES` that is ("" if none)."""
 
     verdict: str
     reason: str
@@ -60,7 +60,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Passage:
-    """Frames ``start`` to ``stop`` (exclusive) near a singularity; ``deepest`` has the smallest value."""
+    """Frames `start` to `stop` (exclusive) near a singularity; `deepest` has the smallest value."""
 
     start: int
     stop: int
@@ -138,7 +138,7 @@ def returned_after(trace: Trace, passage: Passage, fps: float) -> bool | None:
 def judge_all(
     traces: Sequence[Trace], passages: Sequence[Sequence[Passage]], fps: float
 ) -> tuple[Verdict, list[Verdict]]:
-    """The worst verdict over all trajectories, and each one's; ``passages`` are those of each trajectory."""
+    """The worst verdict over all trajectories, and each one's; `passages` are those of each trajectory."""
     verdicts = [judge(trace, found, fps) for trace, found in zip(traces, passages, strict=True)]
     worst = max(verdicts, key=lambda verdict: VERDICTS.index(verdict.verdict))
     if worst.verdict == "Bounded":
@@ -152,7 +152,7 @@ def _judged_mm(trace: Trace) -> Array:
 
 
 def _first_frozen(trace: Trace, fps: float) -> int | None:
-    """First frame from which the arm is frozen for ``FROZEN_S``, or None."""
+    """First frame from which the arm is frozen for `FROZEN_S`, or None."""
     window = round(FROZEN_S * fps)
     frames = len(trace.position_mm)
     if frames <= window:

@@ -11,8 +11,8 @@ Array = NDArray[np.float64]
 def step_box(q: Array, lower: Array, upper: Array, max_step: float) -> tuple[Array, Array]:
     """Lowest and highest joints to command next.
 
-    Within the limits and ``max_step`` of ``q``. A joint measured outside its limits is led back by at most
-    ``max_step``: the bound on the step is the stronger one.
+    Within the limits and `max_step` of `q`. A joint measured outside its limits is led back by at most
+    `max_step`: the bound on the step is the stronger one.
     """
     return np.clip(lower, q - max_step, q + max_step), np.clip(upper, q - max_step, q + max_step)
 

@@ -38,7 +38,7 @@ _RUN_ABOVE_CHECKPOINT = 2
 
 
 def weights_digest(state: Mapping[str, Tensor]) -> str:
-    """SHA-256 over a policy's ``state_dict()``, which is what its ``model.safetensors`` holds."""
+    """SHA-256 over a policy's `state_dict()`, which is what its `model.safetensors` holds."""
     digest = hashlib.sha256()
     for name, value in sorted(state.items()):
         digest.update(f"{name} {value.dtype} {tuple(value.shape)}\n".encode())
@@ -47,7 +47,7 @@ def weights_digest(state: Mapping[str, Tensor]) -> str:
 
 
 def read_report(path: str | Path) -> dict[str, Any]:
-    """A report of `mimicik eval`, given ``report.json`` or the folder it is in.
+    """A report of `mimicik eval`, given `report.json` or the folder it is in.
 
     Raises:
         FileNotFoundError: if there is none.
@@ -76,14 +76,14 @@ def read_report(path: str | Path) -> dict[str, Any]:
 
 
 def find_report(folder: str | Path, digest: str) -> dict[str, Any] | None:
-    """The report of a checkpoint's weights: in its folder, in ``eval`` there, or in its training run.
+    """The report of a checkpoint's weights: in its folder, in `eval` there, or in its training run.
 
     Args:
         folder: the checkpoint's folder.
         digest: `weights_digest` of the policy that the report must be about.
 
     Raises:
-        ValueError: if a file called ``report.json`` there is no report.
+        ValueError: if a file called `report.json` there is no report.
     """
     folder = Path(folder).resolve()
     places = [folder / place for place in _REPORT_PLACES]
@@ -141,16 +141,16 @@ def push_policy(
 
     Args:
         policy: what is uploaded.
-        repo_id: a Hub repository, ``user/name``; made where it does not exist.
+        repo_id: a Hub repository, `user/name`; made where it does not exist.
         source: the folder or Hub repository the policy was loaded from: its processors and training settings
             go along, and its evaluation is found. Without it, processors are made from the configuration.
-        report: ``report.json`` of `mimicik eval` for these weights, its folder, or its content.
-        card_kwargs: passed to `model_card`: ``license``, ``tags``, ``training``.
+        report: `report.json` of `mimicik eval` for these weights, its folder, or its content.
+        card_kwargs: passed to `model_card`: `license`, `tags`, `training`.
         commit_message, private, token, branch, create_pr, allow_patterns, ignore_patterns, delete_patterns:
-            as in LeRobot's ``push_to_hub``.
+            as in LeRobot's `push_to_hub`.
 
     Raises:
-        FileNotFoundError: if ``source`` or ``report`` does not exist.
+        FileNotFoundError: if `source` or `report` does not exist.
         ValueError: if the report is none, or is one of other weights.
         huggingface_hub.errors.HfHubHTTPError: what the Hub refuses.
     """

@@ -70,8 +70,8 @@ def model_card(
         policy: the policy, with the weights that are published.
         repo_id: where it is published; a placeholder stands in the commands without it.
         training: what is known of the training.
-        report: ``report.json`` of `mimicik eval` for these very weights; None if there is none.
-        license: the publisher's licence for the weights; ``unknown`` if none is given, because only
+        report: `report.json` of `mimicik eval` for these very weights; None if there is none.
+        license: the publisher's licence for the weights; `unknown` if none is given, because only
             the publisher can grant one.
         tags: further tags.
     """

@@ -120,7 +120,7 @@ def _ask_on(
     barrier: Barrier,
     counts: multiprocessing.Queue[float],
 ) -> None:
-    """One client process: keep ``window`` requests under way for ``seconds``, and report answers a second."""
+    """One client process: keep `window` requests under way for `seconds`, and report answers a second."""
     with IKClient(address, solver, timeout_s=20.0) as client:
         client.reset(q)
         socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)

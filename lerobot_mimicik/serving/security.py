@@ -37,10 +37,10 @@ class ClientKeys:
 
 
 def is_local(address: str) -> bool:
-    """Whether only this computer can reach a server bound to ``address``.
+    """Whether only this computer can reach a server bound to `address`.
 
     Raises:
-        ValueError: If it is no ``tcp://HOST:PORT`` and no ``ipc://PATH``.
+        ValueError: If it is no `tcp://HOST:PORT` and no `ipc://PATH`.
     """
     if address.startswith("ipc://") and len(address) > len("ipc://"):
         return True
@@ -59,7 +59,7 @@ def make_keys(folder: str | Path, name: str) -> tuple[Path, Path]:
 
     Raises:
         FileExistsError: If either exists: a key that is in use is not overwritten.
-        ValueError: If ``name`` is no file name.
+        ValueError: If `name` is no file name.
     """
     if not re.fullmatch(r"[\w.-]+", name):
         raise ValueError(f"The key's name {name!r} is no file name of letters, digits, '.', '-' and '_'.")
@@ -79,7 +79,7 @@ def make_keys(folder: str | Path, name: str) -> tuple[Path, Path]:
 
 
 def secure_server(socket: zmq.Socket, keys: ServerKeys) -> None:
-    """Make ``socket`` take CURVE connections only. Whom it lets in an authenticator of ``ZAP_DOMAIN`` decides.
+    """Make `socket` take CURVE connections only. Whom it lets in an authenticator of `ZAP_DOMAIN` decides.
 
     Raises:
         FileNotFoundError: If the key file does not exist.
@@ -93,7 +93,7 @@ def secure_server(socket: zmq.Socket, keys: ServerKeys) -> None:
 
 
 def check_allowed(folder: str) -> None:
-    """See that ``folder`` holds public keys, all of them readable.
+    """See that `folder` holds public keys, all of them readable.
 
     Raises:
         FileNotFoundError: If it does not exist or holds no *.key.
@@ -107,7 +107,7 @@ def check_allowed(folder: str) -> None:
 
 
 def secure_client(socket: zmq.Socket, keys: ClientKeys) -> None:
-    """Make ``socket`` prove its own key and connect only to the server of that public key.
+    """Make `socket` prove its own key and connect only to the server of that public key.
 
     Raises:
         FileNotFoundError: If a key file does not exist.

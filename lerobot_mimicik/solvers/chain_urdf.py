@@ -27,13 +27,13 @@ _ENDLESS = 1e4
 
 
 def chain_urdf(description: ArmDescription) -> str:
-    """URDF text with the links ``BASE``, ``ik_link_1`` ... and ``TOOL``; joints keep their names and limits.
+    """URDF text with the links `BASE`, `ik_link_1` ... and `TOOL`; joints keep their names and limits.
 
     Continuous joints become revolute ones with limits that are never reached. Masses are fillers that make
     dynamics libraries accept the file.
 
     Raises:
-        UrdfError: The description does not fit its URDF; see ``ArmDescription.chain``.
+        UrdfError: The description does not fit its URDF; see `ArmDescription.chain`.
     """
     robot = ElementTree.Element("robot", name="arm")
     parent = _add_link(robot, BASE)
@@ -57,7 +57,7 @@ def chain_urdf(description: ArmDescription) -> str:
 
 @contextmanager
 def chain_urdf_file(description: ArmDescription) -> Iterator[str]:
-    """``chain_urdf`` as the path of a file that lives as long as the context."""
+    """`chain_urdf` as the path of a file that lives as long as the context."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "arm.urdf"
         path.write_text(chain_urdf(description), encoding="utf-8")

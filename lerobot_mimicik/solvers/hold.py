@@ -8,7 +8,7 @@ from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
 
 @register_solver("hold")
 class HoldSolver(IKSolver):
-    """Answers ``q_curr`` to every question (delta q = 0)."""
+    """Answers `q_curr` to every question (delta q = 0)."""
 
     name = "hold"
     configuration = "The command is the measured joints: what the data alone gives"
@@ -21,9 +21,9 @@ class HoldSolver(IKSolver):
         """Nothing to forget."""
 
     def solve(self, q_curr: Array, target_pose: Array) -> Array:
-        """``q_curr`` itself, whatever the target."""
+        """`q_curr` itself, whatever the target."""
         return q_curr.copy()
 
     def solve_recorded(self, q_curr: Array, target_pose: Array) -> Array:
-        """``q_curr`` itself, all frames at once."""
+        """`q_curr` itself, all frames at once."""
         return q_curr.copy()

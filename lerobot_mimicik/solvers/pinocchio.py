@@ -1,6 +1,6 @@
 """Pinocchio's closed-loop inverse kinematics: damped and kept in bounds, and the plain pseudo-inverse.
 
-``pinocchio`` is the loop of the library's own example ("Inverse kinematics (clik)" in its documentation: log6
+`pinocchio` is the loop of the library's own example ("Inverse kinematics (clik)" in its documentation: log6
 of the tool error, its Jacobian by Jlog6, damped least squares, damping 1e-6 as in the C++ version), as one
 would bring it to an arm: warm start from the measured joints, full steps (the start is close: the example's
 step of 0.1 would need a hundred iterations), Levenberg-Marquardt damping that grows with the squared error
@@ -8,7 +8,7 @@ step of 0.1 would need a hundred iterations), Levenberg-Marquardt damping that g
 costs no accuracy at the end, joint limits and a bound on the step by an active set: a joint that meets
 its bound is fixed there and the others take over its part.
 
-``pinocchio_undamped`` is the paper's baseline: the unconstrained pseudo-inverse, warm-started, iterated to
+`pinocchio_undamped` is the paper's baseline: the unconstrained pseudo-inverse, warm-started, iterated to
 convergence, with neither damping nor limits nor a bound on the step.
 """
 
@@ -45,7 +45,7 @@ class PinocchioSolver(IterativeSolver):
             arm: The arm to solve for.
             damping: Added to the diagonal of J^T J.
             error_damping: Added to it too, times the squared norm of the error.
-            iteration: See ``IterativeSolver``.
+            iteration: See `IterativeSolver`.
         """
         super().__init__(arm, **iteration)
         self.damping, self.error_damping = damping, error_damping

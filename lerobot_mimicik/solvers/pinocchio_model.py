@@ -22,7 +22,7 @@ class PinocchioModel:
         pin: The library.
         model, data: Its objects.
         tool: Index of the tool frame.
-        index: ``q_model[index]`` is q in the arm's order; the joints of a bare chain have one number each.
+        index: `q_model[index]` is q in the arm's order; the joints of a bare chain have one number each.
     """
 
     def __init__(self, description: ArmDescription) -> None:
@@ -51,12 +51,12 @@ class PinocchioModel:
         return self.pin.SE3(matrix[:3, :3], matrix[:3, 3])
 
     def error(self, q_model: Array, target: Any) -> Array:
-        """The twist (6,) that leads from the tool at ``q_model`` to ``target`` in unit time, in the tool frame."""
+        """The twist (6,) that leads from the tool at `q_model` to `target` in unit time, in the tool frame."""
         self.pin.framesForwardKinematics(self.model, self.data, q_model)
         return self.pin.log6(self.data.oMf[self.tool].actInv(target)).vector
 
     def error_jacobian(self, q_model: Array, error: Array) -> Array:
-        """Derivative (6, dof) of ``error`` by ``q_model``, columns in the model's order."""
+        """Derivative (6, dof) of `error` by `q_model`, columns in the model's order."""
         jacobian = self.pin.computeFrameJacobian(self.model, self.data, q_model, self.tool)
         away = self.pin.exp6(self.pin.Motion(error)).inverse()
         return -self.pin.Jlog6(away) @ jacobian

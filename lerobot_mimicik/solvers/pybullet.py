@@ -1,6 +1,6 @@
-"""PyBullet: damped least squares by ``calculateInverseKinematics``.
+"""PyBullet: damped least squares by `calculateInverseKinematics`.
 
-Configured as its quickstart guide has it for accuracy: the solver ``IK_DLS``, started from the measured
+Configured as its quickstart guide has it for accuracy: the solver `IK_DLS`, started from the measured
 joints (which it reads from the simulated arm), many iterations up to a small residual. Without limits, ranges
 and rest poses: these switch PyBullet to its null-space method, which trades the target for the rest
 pose. The answer is cut to the box of the control step.

@@ -21,11 +21,11 @@ def remote_solver(
     server_key: str = "",
     name: str = "",
 ) -> IKClient:
-    """A client of the server at ``address``, for an arm with the server's joints.
+    """A client of the server at `address`, for an arm with the server's joints.
 
     Args:
         arm: The arm that is driven here.
-        address: ``tcp://HOST:PORT`` or ``ipc://PATH``.
+        address: `tcp://HOST:PORT` or `ipc://PATH`.
         solver: Which of the server's solvers.
         timeout_s: Longest wait for an answer, in s.
         secret_key: Path of the own secret key, where the server has keys.

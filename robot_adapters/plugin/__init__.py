@@ -1,7 +1,7 @@
 """What LeRobot imports on start-up: registers the policies and the robots, nothing heavy.
 
 LeRobot finds plugins by distribution name and imports a module of the same name, which is why this
-folder is installed as ``lerobot_policy_mimicik``.
+folder is installed as `lerobot_policy_mimicik`.
 """
 
 import lerobot_mimicik.baselines.configuration_mlp
