@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 import torch
-from evaluation_cases import airbot, trajectory
+from evaluation_cases import Scripted, airbot, trajectory
 from lerobot.datasets import LeRobotDataset
 
 from lerobot_mimicik.batches.loading import FrameTable
@@ -17,7 +17,8 @@ from lerobot_mimicik.data.writer import Episode, write_dataset
 from lerobot_mimicik.evaluation.report import ROW_KEYS
 from lerobot_mimicik.evaluation.rollouts import make_rollouts
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
-from lerobot_mimicik.solvers import make_solver
+from lerobot_mimicik.solvers import make_solver, register_solver
+from lerobot_mimicik.solvers.availability import Package
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +90,19 @@ def test_without_a_policy_the_arm_comes_from_the_dataset(made):
     assert main(["eval", f"--dataset.root={made / 'data'}", f"--out={out}", "--episodes=1"]) == 0
     rows = json.loads((out / "report.json").read_text())["rows"]
     assert [(row["solver"], row["frames"]) for row in rows] == [("hold", 9), ("hold", 9)]
+
+
+def test_a_missing_solver_is_a_row_with_the_reason(made, capsys):
+    register_solver("test_missing", needs=(Package("no_such_ik", "uv pip install no-such-ik"),))(Scripted)
+    out = made / "missing"
+    options = ["--mode=open_loop", "--latency_queries=3", "--solvers=test_missing,hold", f"--out={out}"]
+    assert main(["eval", f"--dataset.root={made / 'data'}", *options]) == 0
+    assert "test_missing is unavailable:" in capsys.readouterr().out
+    rows = {row["solver"]: row for row in json.loads((out / "report.json").read_text())["rows"]}
+    assert rows["test_missing"]["verdict"] == "unavailable"
+    assert "uv pip install no-such-ik" in rows["test_missing"]["reason"]
+    assert rows["hold"]["frames"] == 24
+    assert "no_such_ik is not installed" in (out / "report.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,8 @@
 
 A solver whose package is not installed is skipped with the reason. What is promised to whom: all start
 from the measured joints; ``BOUNDED`` ones keep joint limits and a largest step; ``EXACT`` ones reach any
-target nearby. ``placo_lerobot`` takes a single step that hardly minds orientation, so it is held to less.
+target nearby. ``placo_lerobot`` takes a single step that hardly minds orientation, ``least_squares`` a single damped
+one, and ``relaxed_ik`` gives way to the motion terms of its cost, so they are held to less.
 """
 
 import dataclasses
@@ -20,13 +21,22 @@ from lerobot_mimicik.solvers import SolverUnavailable, available_solvers, make_s
 from lerobot_mimicik.solvers.availability import Package
 from lerobot_mimicik.solvers.base import known_solvers
 from lerobot_mimicik.solvers.chain_urdf import TOOL, chain_urdf
-from lerobot_mimicik.solvers.iterative import MAX_STEP
+from lerobot_mimicik.solvers.iterative import MAX_STEP, posture_of
 
-BOUNDED = ("curobo", "mink", "pink", "pinocchio", "placo", "pybullet", "ssik")
-PEERS = (*BOUNDED, "pinocchio_undamped", "placo_lerobot")
+BOUNDED = (
+    "embodik", "jparse", "least_squares", "mink", "optik", "pink", "pinocchio", "placo", "pybullet", "relaxed_ik", "ssik"
+)  # fmt: skip
+PEERS = (*BOUNDED, "pinocchio_undamped", "placo_lerobot", "placo_lerobot_8")
 # Position (m) and rotation (rad) within which a nearby target is reached.
 EXACT = (1e-3, np.deg2rad(0.5))
-TOLERANCE = dict.fromkeys(PEERS, EXACT) | {"placo_lerobot": (5e-3, np.deg2rad(5.0))}
+TOLERANCE = dict.fromkeys(PEERS, EXACT) | {
+    "placo_lerobot": (5e-3, np.deg2rad(5.0)),
+    "placo_lerobot_8": (5e-3, np.deg2rad(5.0)),
+    "relaxed_ik": (1e-2, np.deg2rad(5.0)),
+    "least_squares": (5e-3, np.deg2rad(1.0)),
+}
+# How far (rad) a solver may move an arm that is on its target.
+AT_REST = dict.fromkeys(PEERS, 1e-4) | {"relaxed_ik": 0.02}
 AVAILABLE = available_solvers()
 TOOL_OFFSET = (0.16, 0.01, -0.02, 0.3, -0.2, 0.5)
 
@@ -88,7 +98,8 @@ def test_where_the_arm_is_already_it_stays(name):
     arm = an_arm(tool=TOOL_OFFSET)
     solver = make_solver(name, arm)
     for q, _ in nearby_targets(arm, 3):
-        np.testing.assert_allclose(solver.solve(q, fk(arm, q)), q, atol=1e-4)
+        solver.reset(q)
+        np.testing.assert_allclose(solver.solve(q, fk(arm, q)), q, atol=AT_REST[name])
 
 
 @pytest.mark.parametrize("name", PEERS)
@@ -98,6 +109,8 @@ def test_the_order_of_the_joints_does_not_matter(name):
     other = an_arm(order=order)
     one, two = make_solver(name, arm), make_solver(name, other)
     for q, target in nearby_targets(arm, 4):
+        one.reset(q)
+        two.reset(q[list(order)])
         expected = one.solve(q, target)
         np.testing.assert_allclose(two.solve(q[list(order)], target), expected[list(order)], atol=1e-5)
 
@@ -120,7 +133,7 @@ def test_limits_and_the_largest_step_are_kept_whatever_the_target(name):
         assert (command <= upper + 1e-6).all()
 
 
-@pytest.mark.parametrize("name", ["mink", "pink", "pinocchio", "placo"])
+@pytest.mark.parametrize("name", ["embodik", "jparse", "mink", "pink", "pinocchio", "placo"])
 def test_a_far_target_is_approached(name):
     needs(name)
     arm = an_arm()
@@ -138,7 +151,7 @@ def test_a_far_target_is_approached(name):
 @pytest.mark.parametrize("name", BOUNDED)
 def test_a_joint_measured_outside_its_limits_is_led_back(name):
     needs(name)
-    if name in ("ssik", "curobo"):
+    if name in ("ssik", "optik"):
         pytest.skip(f"{name} only follows solutions within the limits")
     arm = an_arm()
     q = np.array(arm.description.home)
@@ -162,6 +175,36 @@ def test_continuous_joints_go_round(kind):
     command = make_solver("pinocchio", arm).solve(q, fk(arm, goal))
     expected = goal[5] if kind == "continuous" else float(arm.upper[5])
     assert command[5] == pytest.approx(expected, abs=1e-4)
+
+
+def test_ssik_holds_where_the_nearest_solution_is_further_than_its_bound():
+    needs("ssik")
+    arm = an_arm()
+    q = np.array(arm.description.home)
+    far = fk(arm, q + 0.3)
+    np.testing.assert_array_equal(make_solver("ssik", arm).solve(q, far), q)
+    assert np.abs(make_solver("ssik", arm, seed_tolerance=None).solve(q, far) - q).max() > 0.05
+
+
+def test_posture_is_home_or_the_middle_of_the_ranges():
+    arm = an_arm()
+    np.testing.assert_array_equal(posture_of(arm), arm.description.home)
+    homeless = SerialArm(dataclasses.replace(arm.description, home=()), dtype=torch.float64)
+    np.testing.assert_allclose(posture_of(homeless), (arm.lower + arm.upper) / 2)
+
+
+@pytest.mark.parametrize("name", ["mink", "pink", "placo"])
+def test_the_posture_task_leads_a_singular_wrist_back(name):
+    # With the wrist stretched, joints 4 and 6 turn the tool alike: only the posture says which of them to turn.
+    needs(name)
+    arm = an_arm()
+    home = np.array(arm.description.home)
+    q = home * np.array([1, 1, 1, 1, 0, 1]) + np.array([0, 0, 0, 0.5, 0, -0.5])
+    turned = fk(arm, q + np.array([0, 0, 0, 0, 0, 0.05]))
+    option = "posture_weight" if name == "placo" else "posture_cost"
+    with_posture = make_solver(name, arm).solve(q, turned)
+    without = make_solver(name, arm, **{option: 0.0}).solve(q, turned)
+    assert np.abs(with_posture - home)[[3, 5]].sum() < np.abs(without - home)[[3, 5]].sum() - 1e-3
 
 
 def test_the_bare_chain_is_the_arm():
@@ -235,11 +278,11 @@ def test_ssik_refuses_an_arm_that_it_cannot_solve():
     needs("ssik")
     text = describe_arm("airbot_play").urdf
     short = describe_arm(text, base_link="base_link", tip_link="link5")
-    with pytest.raises(ValueError, match="six or seven revolute joints; this one has 5"):
+    with pytest.raises(SolverUnavailable, match="six or seven revolute joints; this one has 5"):
         make_solver("ssik", SerialArm(short, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("name", ["mink", "pink", "pinocchio", "placo", "ssik"])
+@pytest.mark.parametrize("name", ["embodik", "mink", "pink", "pinocchio", "placo", "ssik"])
 def test_a_straight_line_past_the_singular_wrist_is_followed_without_a_jump(name):
     needs(name)
     arm = an_arm()

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from evaluation_cases import DampedLeastSquares, Scripted, airbot, trajectory
 
+from lerobot_mimicik.evaluation.latency import measure_latency
 from lerobot_mimicik.evaluation.metrics import measure, summarise
 from lerobot_mimicik.evaluation.rollouts import known_modes, make_rollouts
-from lerobot_mimicik.solvers import make_solver
+from lerobot_mimicik.solvers import SolverUnavailable, make_solver
 
 
 def summary(mode, solver, trajectories):
@@ -104,3 +105,15 @@ def test_an_unknown_mode_is_refused_with_the_known_ones():
     assert {"open_loop", "closed_loop"} <= set(known_modes())
     with pytest.raises(ValueError, match=r"'half_open'.*open_loop, closed_loop"):
         make_rollouts("half_open", make_solver("hold", airbot()), [trajectory(5)])
+
+
+def test_the_limit_takes_whole_recordings_and_no_single_frame():
+    one = trajectory(30)
+    solver = make_solver("limit", airbot())
+    (rollout,) = make_rollouts("closed_loop", solver, [one])
+    (trace,) = measure(airbot(), [rollout])
+    assert trace.position_mm.max() < 0.5
+    np.testing.assert_array_equal(rollout.q_curr[1:], rollout.q_cmd[:-1])
+    with pytest.raises(SolverUnavailable, match="whole path"):
+        solver.solve(one.q[0], one.target[0])
+    assert measure_latency(solver, one).queries == len(one)

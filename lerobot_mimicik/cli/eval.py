@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from lerobot_mimicik.evaluation.evaluate import Evaluation
     from lerobot_mimicik.kinematics.arms import ArmDescription
     from lerobot_mimicik.modeling_learned import LearnedIKPolicy
+    from lerobot_mimicik.solvers import IKSolver
 
 HELP = "Measure a checkpoint on recorded motion: accuracy, smoothness, latency, behaviour at singularities."
 
@@ -68,14 +69,27 @@ def main(argv: Sequence[str]) -> int:
     config = draccus.parse(EvalConfig, args=join_repeated(argv, "--dataset.root"), prog="mimicik eval")
     from lerobot_mimicik.evaluation.report import markdown_table
 
-    evaluations = run(config)
-    print(markdown_table([evaluation.row for evaluation in evaluations]))
+    rows: list[dict[str, Any]] = []
+    run(config, rows=rows)
+    print(markdown_table(rows))
+    for row in rows:
+        if row["verdict"] == "unavailable":
+            print(f"{row['solver']} is unavailable: {row['reason']}")
     print(f"Report: {config.out}/report.json, {config.out}/report.md")
     return 0
 
 
-def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
+def run(
+    config: EvalConfig, progress: bool = True, rows: list[dict[str, Any]] | None = None
+) -> list[Evaluation]:
     """Evaluate and write the report, after every row anew so that an interrupted run leaves what it has.
+
+    A solver that cannot run here is a row with the reason.
+
+    Args:
+        config: What to do.
+        progress: Whether to show bars.
+        rows: Takes the rows of the report, those of unavailable solvers among them.
 
     Raises:
         ValueError: If an option does not fit; the message names it and what exists.
@@ -86,12 +100,12 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
 
     from lerobot_mimicik.checkpoints import LEARNED, kind_of, load_policy
     from lerobot_mimicik.evaluation.evaluate import evaluate, study
-    from lerobot_mimicik.evaluation.report import write_report
+    from lerobot_mimicik.evaluation.report import unavailable_row, write_report
     from lerobot_mimicik.evaluation.rollouts import known_modes
     from lerobot_mimicik.evaluation.trajectories import Layout, distinct_names, load_trajectories
     from lerobot_mimicik.kinematics.chain import SerialArm
     from lerobot_mimicik.publishing.hub import weights_digest
-    from lerobot_mimicik.solvers import known_solvers, make_solver
+    from lerobot_mimicik.solvers import SolverUnavailable, known_solvers, make_solver
 
     roots = words(config.dataset.root)
     if not roots:
@@ -131,16 +145,31 @@ def run(config: EvalConfig, progress: bool = True) -> list[Evaluation]:
         study(arm, load_trajectories(root, arm, layout, episodes, name))
         for root, name in zip(roots, distinct_names(roots), strict=True)
     ]
-    solvers = {name: make_solver(name, arm, **({"policy": policy} if name == kind else {})) for name in names}
+    rows = [] if rows is None else rows
+    solvers: dict[str, IKSolver] = {}
+    for name in names:
+        try:
+            solvers[name] = make_solver(name, arm, **({"policy": policy} if name == kind else {}))
+        except (SolverUnavailable, ImportError) as error:
+            rows.append(unavailable_row(name, str(error)))
     settings = asdict(config) | {"device": str(policy.config.device) if policy is not None else "cpu"}
     if policy is not None:
         settings["weights"] = weights_digest(policy.state_dict())
     evaluations: list[Evaluation] = []
     for evaluation in evaluate(
-        arm, solvers, recordings, modes, config.latency_queries, config.seed, progress=progress
+        arm,
+        solvers,
+        recordings,
+        modes,
+        config.latency_queries,
+        config.seed,
+        progress,
+        lambda *why: rows.append(unavailable_row(why[0], why[3], why[1], why[2])),
     ):
         evaluations.append(evaluation)
-        write_report(config.out, [done.row for done in evaluations], recordings, settings)
+        rows.append(evaluation.row)
+        write_report(config.out, rows, recordings, settings)
+    write_report(config.out, rows, recordings, settings)
     return evaluations
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from lerobot_mimicik.evaluation.evaluate import Evaluation
-from lerobot_mimicik.evaluation.report import ROW_KEYS, definitions, markdown_table
+from lerobot_mimicik.evaluation.report import definitions, markdown_table, unavailable_row
 
 _RECIPES = {"mimicik": "{size}.json", "mlp": "mlp_{size}.json", "unet_diffusion": "unet_{size}.json"}
 _ABOUT = {
@@ -168,9 +168,7 @@ def write_table(
     for row in rows:
         groups.setdefault((row["dataset"], row["mode"], row["solver"]), []).append(row)
     table = [over_seeds(group) for group in groups.values()]
-    missing: list[dict[str, Any]] = [
-        {**dict.fromkeys(ROW_KEYS), "solver": name, "verdict": "unavailable"} for name in unavailable
-    ]
+    missing = [unavailable_row(name, reason) for name, reason in unavailable.items()]
     shown = [row for row, _ in table] + missing
     spreads = [spread for _, spread in table] + [{} for _ in missing]
     content = {

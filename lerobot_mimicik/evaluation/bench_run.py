@@ -40,7 +40,7 @@ from lerobot_mimicik.evaluation.trajectories import (
 )
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
-from lerobot_mimicik.solvers import known_solvers, make_solver, solver_configuration
+from lerobot_mimicik.solvers import SolverUnavailable, known_solvers, make_solver, solver_configuration
 
 
 @dataclass(frozen=True)
@@ -255,9 +255,14 @@ class _Bench:
             first = missing[0].recording.set.trajectories[0]
             latency = measure_latency(solver, first, self._options.latency_queries)
         for each in missing:
-            evaluation = evaluate_one(
-                self._arm, name, solver, each.recording, each.mode, latency, seed, self._progress
-            )
+            try:
+                evaluation = evaluate_one(
+                    self._arm, name, solver, each.recording, each.mode, latency, seed, self._progress
+                )
+            except SolverUnavailable as error:
+                self.summary.unavailable[f"{name}, {each.mode}"] = str(error)
+                self._say(f"{name} is unavailable: {error}")
+                continue
             self.summary.add(evaluation, seed, each.place)
         if undergoes:
             save_commands(commands, undergo(solver, self._ordeals))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from lerobot_mimicik.evaluation.verdict import (
     smallest_singular_value,
 )
 from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.solvers.availability import SolverUnavailable
 from lerobot_mimicik.solvers.base import Array, IKSolver
 
 
@@ -79,6 +80,7 @@ def evaluate(
     latency_queries: int = 200,
     seed: int = 0,
     progress: bool = False,
+    unavailable: Callable[[str, str, str, str], None] | None = None,
 ) -> Iterator[Evaluation]:
     """Evaluate every solver on every dataset in every mode, one combination at a time.
 
@@ -90,6 +92,8 @@ def evaluate(
         latency_queries: Queries timed per solver, on the first trajectory of the first recording.
         seed: Set anew before each combination, for solvers and modes that draw noise.
         progress: Whether to show a bar for each combination.
+        unavailable: Told solver, mode, dataset and reason of a combination that cannot be measured; None: that
+            raises `SolverUnavailable`.
 
     Yields:
         Evaluations, ordered by dataset, mode and solver.
@@ -100,7 +104,16 @@ def evaluate(
     for recording in recordings:
         for mode in modes:
             for name, solver in solvers.items():
-                yield evaluate_one(arm, name, solver, recording, mode, latencies[name], seed, progress)
+                try:
+                    evaluation = evaluate_one(
+                        arm, name, solver, recording, mode, latencies[name], seed, progress
+                    )
+                except SolverUnavailable as error:
+                    if unavailable is None:
+                        raise
+                    unavailable(name, mode, recording.set.name, str(error))
+                else:
+                    yield evaluation
 
 
 def evaluate_one(

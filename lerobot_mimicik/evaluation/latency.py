@@ -9,7 +9,7 @@ import numpy as np
 
 from lerobot_mimicik.evaluation.energy import EnergyMeter
 from lerobot_mimicik.evaluation.trajectories import Trajectory
-from lerobot_mimicik.solvers.base import IKSolver
+from lerobot_mimicik.solvers.base import IKSolver, OfflineSolver
 
 WARM_UP_QUERIES = 20
 
@@ -32,7 +32,8 @@ def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200
     """Time ``solver`` along the recorded frames of one trajectory, from the start again where it ends.
 
     Args:
-        solver: Is reset, and asked about one configuration at a time.
+        solver: Is reset, and asked about one configuration at a time; one that takes whole recordings only is timed
+            once, and its time divided by the frames.
         trajectory: Where the questions come from.
         queries: How many are timed; the first ``WARM_UP_QUERIES`` before them are not.
 
@@ -41,6 +42,11 @@ def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200
     """
     if queries < 1:
         raise ValueError(f"Latency needs at least one query, got {queries}.")
+    if isinstance(solver, OfflineSolver):
+        begin = time.perf_counter()
+        solver.solve_recorded(trajectory.q, trajectory.target)
+        each_ms = 1e3 * (time.perf_counter() - begin) / len(trajectory)
+        return Latency(each_ms, each_ms, len(trajectory), p95_ms=each_ms)
     single = slice(0, 1) if solver.batched else 0
     solver.reset(trajectory.q[single])
     seconds = np.empty(WARM_UP_QUERIES + queries)

@@ -104,6 +104,20 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
     }
 
 
+def unavailable_row(
+    solver: str, reason: str, mode: str | None = None, dataset: str | None = None
+) -> dict[str, Any]:
+    """The row of a solver that could not be measured: nothing but its name and why."""
+    row: dict[str, Any] = dict.fromkeys(ROW_KEYS)
+    return row | {
+        "solver": solver,
+        "mode": mode,
+        "dataset": dataset,
+        "verdict": "unavailable",
+        "reason": reason,
+    }
+
+
 def write_report(
     out: str | Path,
     rows: Sequence[Mapping[str, Any]],
@@ -191,8 +205,9 @@ def _markdown(report: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> s
         for data in report["datasets"]
     ]
     reasons = [
-        f"- {row['solver']}, {row['mode'].replace('_', ' ')}, {row['dataset']}: "
-        f"{row['verdict']}, {row['reason']}."
+        "- "
+        + ", ".join(str(row[key]).replace("_", " ") for key in ("solver", "mode", "dataset") if row[key])
+        + f": {row['verdict']}, {row['reason']}."
         for row in rows
         if row.get("reason")
     ]

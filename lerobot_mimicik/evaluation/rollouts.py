@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from lerobot_mimicik.evaluation.trajectories import Trajectory
-from lerobot_mimicik.solvers.base import Array, IKSolver
+from lerobot_mimicik.solvers.base import Array, IKSolver, OfflineSolver
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +109,27 @@ def closed_loop(
 
     A trajectory whose command is not finite is stopped there; the others go on.
     """
+    if isinstance(solver, OfflineSolver):
+        return _offline(solver, trajectories, options)
     groups = [list(trajectories)] if solver.batched else [[trajectory] for trajectory in trajectories]
     rollouts: list[Rollout] = []
     with _bar(trajectories, options) as bar:
         for group in groups:
             rollouts += _closed_loop_lockstep(solver, group, bar)
+    return rollouts
+
+
+def _offline(
+    solver: OfflineSolver, trajectories: Sequence[Trajectory], options: RolloutOptions
+) -> list[Rollout]:
+    """Whole recordings at once; each command is the next measurement here too."""
+    rollouts = []
+    with _bar(trajectories, options) as bar:
+        for trajectory in trajectories:
+            q_cmd = solver.solve_recorded(trajectory.q, trajectory.target)
+            q_curr = np.concatenate([trajectory.q[:1], q_cmd[:-1]])
+            rollouts.append(Rollout(trajectory, q_curr, q_cmd, len(trajectory)))
+            bar.update(len(trajectory))
     return rollouts
 
 

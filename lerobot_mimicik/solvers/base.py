@@ -83,6 +83,32 @@ class IKSolver(ABC):
         return answers
 
 
+class OfflineSolver(IKSolver):
+    """A solver that knows the future: it answers whole recordings only, by `solve_recorded`.
+
+    Modes drive it along a recording at once instead of frame by frame; those in which commands have consequences that
+    nobody can know beforehand (a simulated arm) do not take it.
+    """
+
+    def reset(self, q: Array) -> None:
+        """Nothing to forget."""
+
+    def solve(self, q_curr: Array, target_pose: Array) -> Array:
+        """Not answered.
+
+        Raises:
+            SolverUnavailable: Always.
+        """
+        raise SolverUnavailable(
+            f"the solver {self.name!r} needs the whole path beforehand: it is measured in the modes open_loop and "
+            "closed_loop only"
+        )
+
+    @abstractmethod
+    def solve_recorded(self, q_curr: Array, target_pose: Array) -> Array:
+        """Commands (T, dof) along one recorded episode, in rad; see `IKSolver.solve_recorded`."""
+
+
 SolverFactory = Callable[..., IKSolver]
 _FACTORIES: dict[str, SolverFactory] = {}
 _NEEDS: dict[str, tuple[Package, ...]] = {}

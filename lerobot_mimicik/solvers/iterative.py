@@ -23,6 +23,21 @@ def joint_limits(arm: SerialArm) -> tuple[Array, Array]:
     return arm.lower.double().cpu().numpy(), arm.upper.double().cpu().numpy()
 
 
+def approach(q: Array, solution: Array, max_step: float) -> Array:
+    """The solution (dof,), or where no joint has moved by more than `max_step` on the straight way to it."""
+    step = solution - q
+    largest = np.abs(step).max()
+    return q + step * min(1.0, max_step / largest) if largest > 0 else q.copy()
+
+
+def posture_of(arm: SerialArm) -> Array:
+    """Where posture tasks draw the joints (dof,): the arm's home, else the middle of the ranges (0 where endless)."""
+    if arm.description.home:
+        return np.array(arm.description.home)
+    lower, upper = joint_limits(arm)
+    return np.where(np.isfinite(lower + upper), (lower + upper) / 2, 0.0)
+
+
 class IterativeSolver(IKSolver):
     """Starts from the measured joints and improves them in the box until the error is small enough.
 

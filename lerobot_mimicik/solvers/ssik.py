@@ -1,7 +1,8 @@
 """ssik: all closed-form solutions, of which the one nearest to the measured joints is the answer.
 
-Used as its documentation tells one to track a trajectory: ``solve(T, q_seed=q, max_solutions=1)`` with its
-default metric (the largest move of a joint is the smallest possible), joint limits respected. It knows arms
+Used as its documentation tells one to track a trajectory without jumps: `solve(T, q_seed=q, max_solutions=1,
+seed_tolerance=...)` with its default metric (the largest move of a joint is the smallest possible), joint limits
+respected; `seed_tolerance` is its hard bound, here 0.1 rad. It knows arms
 with six or seven revolute joints; the AIRBOT Play has a spherical wrist and two parallel axes, for which
 the solution is closed and exact. Where no solution lies within the limits the arm is held, as ssik's own
 tracker does; a solution further away than ``max_step`` is approached along the straight line in joint space.
@@ -16,10 +17,10 @@ import numpy as np
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.chain import SerialArm, fixed_transform
-from lerobot_mimicik.solvers.availability import from_extra
+from lerobot_mimicik.solvers.availability import SolverUnavailable, from_extra
 from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
 from lerobot_mimicik.solvers.chain_urdf import pose_matrix
-from lerobot_mimicik.solvers.iterative import MAX_STEP, joint_limits
+from lerobot_mimicik.solvers.iterative import MAX_STEP, approach, joint_limits
 
 SSIK = from_extra("ssik")
 
@@ -35,23 +36,31 @@ class SsikSolver(IKSolver):
         "documentation on tracking (https://github.com/personalrobotics/ssik)"
     )
 
-    def __init__(self, arm: SerialArm, max_step: float = MAX_STEP, seed_metric: str = "wrap_linf") -> None:
+    def __init__(
+        self,
+        arm: SerialArm,
+        max_step: float = MAX_STEP,
+        seed_tolerance: float | None = MAX_STEP,
+        seed_metric: str = "wrap_linf",
+    ) -> None:
         """
         Args:
             arm: The arm to solve for: six or seven revolute joints.
             max_step: Most that a joint may move in one query, rad; infinite: jump to the solution.
+            seed_tolerance: Solutions with a joint further than so from the measured joints are none, rad; None: any.
             seed_metric: What "nearest" means, of those that ssik knows.
 
         Raises:
-            ValueError: If the arm is of another kind.
+            SolverUnavailable: If the arm is of another kind.
         """
         joints = arm.description.joints()
         if len(joints) not in (6, 7) or any(joint.type == "prismatic" for joint in joints):
-            raise ValueError(
+            raise SolverUnavailable(
                 f"ssik solves arms of six or seven revolute joints; this one has {len(joints)}: "
                 + ", ".join(f"{joint.name} ({joint.type})" for joint in joints)
             )
-        self.arm, self.max_step, self.seed_metric = arm, max_step, seed_metric
+        self.arm, self.max_step = arm, max_step
+        self.seed_tolerance, self.seed_metric = seed_tolerance, seed_metric
         self.lower, self.upper = joint_limits(arm)
         ordered = [joint.name for joint in arm.description.chain() if joint.movable]
         self._to_chain = np.array([arm.joint_names.index(name) for name in ordered])
@@ -74,6 +83,7 @@ class SsikSolver(IKSolver):
             q_seed=q_curr[self._to_chain],
             max_solutions=1,
             seed_metric=self.seed_metric,
+            seed_tolerance=self.seed_tolerance,
         )
         if not solutions:
             return q_curr.copy()
@@ -81,9 +91,7 @@ class SsikSolver(IKSolver):
         nearest[self._to_chain] = solutions[0].q
         endless = np.isinf(self.upper - self.lower)
         turns = np.round((q_curr - nearest) / (2 * math.pi))
-        step = nearest + np.where(endless, 2 * math.pi * turns, 0.0) - q_curr
-        largest = np.abs(step).max()
-        return q_curr + step * min(1.0, self.max_step / largest) if largest > 0 else q_curr.copy()
+        return approach(q_curr, nearest + np.where(endless, 2 * math.pi * turns, 0.0), self.max_step)
 
 
 def _transforms(description: ArmDescription) -> tuple[Array, Array]:
