@@ -1,8 +1,9 @@
 """ssik: all closed-form solutions, of which the one nearest to the measured joints is the answer.
 
-Used as its documentation tells one to track a trajectory without jumps: `solve(T, q_seed=q, max_solutions=1,
-seed_tolerance=...)` with its default metric (the largest move of a joint is the smallest possible), joint limits
-respected; `seed_tolerance` is its hard bound, here 0.1 rad. It knows arms
+Used as its documentation tells one to track a trajectory: `solve(T, q_seed=q, max_solutions=1)` with its default
+metric (the largest move of a joint is the smallest possible), joint limits respected. Its hard bound, `seed_tolerance`,
+is an option and not the default: with 0.1 rad the arm is held for good once the nearest solution is further away
+than that (130 mm mean near singularities instead of 3). It knows arms
 with six or seven revolute joints; the AIRBOT Play has a spherical wrist and two parallel axes, for which
 the solution is closed and exact. Where no solution lies within the limits the arm is held, as ssik's own
 tracker does; a solution further away than ``max_step`` is approached along the straight line in joint space.
@@ -40,7 +41,7 @@ class SsikSolver(IKSolver):
         self,
         arm: SerialArm,
         max_step: float = MAX_STEP,
-        seed_tolerance: float | None = MAX_STEP,
+        seed_tolerance: float | None = None,
         seed_metric: str = "wrap_linf",
     ) -> None:
         """
