@@ -56,7 +56,7 @@ class RelaxedIKSolver(IKSolver):
         self._to_chain = np.array([arm.joint_names.index(name) for name in ordered])
         self._urdf = chain_urdf(arm.description)
         self._solver: Any = None
-        self._last = np.full(arm.dof, np.inf)
+        self._last: Array = np.full(arm.dof, np.inf)
 
     def reset(self, q: Array) -> None:
         """Start anew at rest at `q`."""
