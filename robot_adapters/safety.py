@@ -85,6 +85,14 @@ class FollowingError(SafetyEvent):
     remedy = "look for a collision, a blocked joint or a payload beyond the arm's"
 
 
+class SensorFault(SafetyEvent):
+    """A joint's feedback contradicts itself, the joint's range or the commands; the arm stops, that joint braked."""
+
+    remedy = (
+        "do not drive the joint: check its encoder, zero and cable, power the arm off and on, then reconnect"
+    )
+
+
 class OverTemperature(SafetyEvent):
     """A motor is too hot; the arm stops."""
 

@@ -8,7 +8,11 @@ A tick is a plain call, so that a thread runs it at 250 Hz on a real clock and a
           ^                                                                           |
           +------------------------------ target accepted ----------------------------+
     TRACKING or HOLD  -- motor error, over-temperature, bus off, motor lost, another
-                         master -->  STOPPED (until reconnected)
+                         master, false feedback -->  STOPPED (until reconnected)
+
+A hold or a stop keeps every joint where it was last commanded: what feedback says moves nothing. The one
+exception is an arm that is blocked or pushed away, by feedback that nothing contradicts: it yields, and holds
+where it stands. Joints in trouble are braked instead.
 """
 
 from __future__ import annotations
@@ -37,6 +41,7 @@ from robot_adapters.can.interpolation import Interpolator
 from robot_adapters.can.mode_watch import ModeWatch
 from robot_adapters.can.one_master import MasterWatch
 from robot_adapters.can.statistics import Recorder
+from robot_adapters.can.witness import TorqueWitness
 from robot_adapters.clock import Clock
 from robot_adapters.safety import (
     ArmStopped,
@@ -51,6 +56,7 @@ from robot_adapters.safety import (
     NonFiniteCommand,
     SafetyEvent,
     SafetyGate,
+    SensorFault,
     Verdict,
 )
 
@@ -90,12 +96,14 @@ class ControlLoop:
         self.motors, self.dof = motors, len(gate.joint_names)
         self.limits = gate.limits
         known = [*np.asarray(q, dtype=float), *([] if gripper_angle is None else [gripper_angle])]
-        self.table = FeedbackTable(motors, self.dof, self.limits, known)
+        self.table = FeedbackTable(motors, gate, known)
         self.recorder = Recorder()
         self.mode = ArmMode.HOLD
         self.lock = threading.RLock()
         self._gravity, self._factors = gravity, np.asarray(factors, dtype=float)
-        self._torque_limits = np.array([_TORQUE_SHARE * m.torque_range.high for m in motors[: self.dof]])
+        torque_ranges = np.array([m.torque_range.high for m in motors[: self.dof]])
+        self._torque_limits = _TORQUE_SHARE * torque_ranges
+        self._witness = TorqueWitness(gate.joint_names, q, torque_ranges)
         speed = min(self.limits.max_step / self.limits.frame, self.limits.max_velocity)
         self._setpoint = Interpolator(q, speed)
         # A tick that comes late must not catch up in one step.
@@ -158,7 +166,7 @@ class ControlLoop:
             return events
 
     def stop(self, event: SafetyEvent) -> None:
-        """Stop for a reason: hold the measured position and refuse targets from now on."""
+        """Stop for a reason: hold the commanded position and refuse targets from now on."""
         with self.lock:
             if self.mode is not ArmMode.STOPPED:
                 self._hold(self.clock.monotonic(), event)
@@ -187,6 +195,7 @@ class ControlLoop:
             self._note_standstill(start - self._last_tick)
             self._last_tick = start
             self._read(start)
+            self._watch(start)
             age, quietest = self.table.oldest(start)
             age = min(age, start - self._started)
             self._supervise(start, age, quietest)
@@ -236,6 +245,11 @@ class ControlLoop:
             )
             self.stop(ControllerFailure(detail))
 
+    def _watch(self, now: float) -> None:
+        """Compare the motors' torques with the commands in force, which a stopped arm no longer follows."""
+        if self.mode is not ArmMode.STOPPED:
+            self.table.distrust(self._witness.judge(now, *self.table.joints(), *self.table.timely(now)))
+
     def _supervise(self, now: float, age: float, quietest: int) -> None:
         for event in self.table.troubles():
             self.stop(event)
@@ -260,10 +274,12 @@ class ControlLoop:
             self._hold(
                 now, FollowingError(f"{self.gate.joint_names[worst]} is {errors[worst]:.2f} rad behind")
             )
+            # Nothing contradicts the feedback, or the arm would have stopped: it yields to what pushes it.
+            measured = self.table.joints()[0]
+            self._setpoint.settle(np.clip(measured, self.gate.lower, self.gate.upper), now)
 
     def _hold(self, now: float, event: SafetyEvent) -> None:
-        measured = self.table.joints()[0]
-        self._setpoint.settle(np.clip(measured, self.gate.lower, self.gate.upper), now)
+        self._setpoint.settle(self._sent, now)
         if self._gripper is not None:
             self._gripper.settle(self._gripper.sample(now)[0], now)
         self.mode = ArmMode.HOLD
@@ -284,15 +300,20 @@ class ControlLoop:
         # A joint that another master has moved away is not pulled back: it may let go of it any time.
         disputed = isinstance(self.stop_event, ForeignMaster)
         taken = (disputed & (np.abs(position - measured) > self.limits.max_step)).tolist()
+        self._witness.command(position, velocity, torque, settings.kp, settings.kd)
         failures = 0
         # As floats: the codecs compute with them several times faster than with elements of arrays.
         laws = zip(position.tolist(), velocity.tolist(), torque.tolist(), damping, strict=True)
         for joint, (motor, (q, dq, tau, kd)) in enumerate(zip(self.motors[: self.dof], laws, strict=True)):
             kp = 0.0 if taken[joint] else self._gain_scale * settings.kp[joint]
-            if self._let_go or (
-                self.mode is ArmMode.STOPPED and self.table.records[motor.id].trouble(self.limits)
-            ):
+            trouble = self.table.records[motor.id].trouble(self.limits)
+            if self._let_go:
                 dq = tau = kp = 0.0
+            elif self.mode is ArmMode.STOPPED and trouble:
+                # A joint whose angle is wrong is not driven by it: braked, and carried against gravity.
+                blind = isinstance(trouble, SensorFault)
+                dq, kp, tau = 0.0, 0.0, tau if blind else 0.0
+                kd = max(kd, settings.final_damping[joint]) if blind else kd
             failures += self._send(motor, motor.encode_mit(q, dq, tau, kp, kd))
         if self._gripper is not None:
             angle, rate = (value.item() for value in self._gripper.sample(now))

@@ -4,22 +4,29 @@ temperatures.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_adapters.airbot.protocol import DmMotor, Motor, MotorFeedback, error_name
-from robot_adapters.safety import MotorFault, OverTemperature, SafetyEvent, SafetyLimits
+from robot_adapters.can.witness import MotionWitness
+from robot_adapters.safety import (
+    MotorFault,
+    OverTemperature,
+    SafetyEvent,
+    SafetyGate,
+    SafetyLimits,
+    SensorFault,
+)
 
-# A joint cannot be further from its last position than this [rad] plus what it does at the speed [rad/s].
-_JUMP, _SPEED = 0.05, 10.0
-# Frames in a row before an error or a temperature counts, and before an implausible position is believed: some
-# damaged frames must neither stop the arm nor tell it to hold elsewhere.
-_STREAK, _BELIEVED = 5, 8
+# Frames in a row before an error or a temperature counts: some damaged frames must not stop the arm.
+_STREAK = 5
 _TROUBLED = 25  # frames in a row that report trouble, be it each time another
 _WARMING = 2  # degrees C that a motor can become hotter from one frame to the next
+# rad beyond its limits to which a joint may be pushed, mechanical stops and the tolerance of zeros included
+_BEYOND_LIMITS = 0.2
 
 
 @dataclass
@@ -36,18 +43,16 @@ class MotorRecord:
     stamp: float = float("-inf")
     frames: int = 0
     implausible: int = 0
+    witness: MotionWitness = field(default_factory=lambda: MotionWitness("motor"))
     _bad_state: int = 0
     _too_hot: int = 0
     _troubled: int = 0
-    _doubted: int = 0
-    _doubted_position: float = float("nan")
 
     def update(self, feedback: MotorFeedback, now: float, limits: SafetyLimits) -> None:
         """Take a feedback frame; a position that the joint cannot have reached is counted and left out."""
-        if self.frames and not self._believable(feedback.position, now):
+        if not self.witness.believes(feedback.position, feedback.velocity, now):
             self.implausible += 1
             return
-        self._doubted = 0
         self.position, self.velocity, self.torque = feedback.position, feedback.velocity, feedback.torque
         same_error = feedback.error == self.error
         warming = max(
@@ -67,6 +72,8 @@ class MotorRecord:
 
     def trouble(self, limits: SafetyLimits) -> SafetyEvent | None:
         """The event that this motor's state asks for, if any."""
+        if self.witness.objection:
+            return SensorFault(self.witness.objection)
         lasting = self._troubled >= _TROUBLED
         if self._bad_state >= _STREAK or (lasting and self._bad()):
             what = error_name(self.motor, self.error) or "disabled"
@@ -76,15 +83,6 @@ class MotorRecord:
             most = f"{limits.max_motor_temperature:.0f} and {limits.max_mosfet_temperature:.0f} C"
             return OverTemperature(f"motor {self.motor.id} at {temperatures}; limits {most}")
         return None
-
-    def _believable(self, position: float, now: float) -> bool:
-        reach = _JUMP + _SPEED * min(now - self.stamp, 1.0)
-        if abs(position - self.position) <= reach:
-            return True
-        same = abs(position - self._doubted_position) <= 2 * _JUMP
-        self._doubted = self._doubted + 1 if same else 1
-        self._doubted_position = position
-        return self._doubted >= _BELIEVED
 
     def _bad(self) -> bool:
         if error_name(self.motor, self.error) is not None:
@@ -101,19 +99,23 @@ class MotorRecord:
 class FeedbackTable:
     """The records of all motors of an arm, joints first, and what they say together."""
 
-    def __init__(
-        self, motors: list[Motor], dof: int, limits: SafetyLimits, positions: Sequence[float]
-    ) -> None:
-        """`motors` in joint order, the gripper's last; the first `dof` of them are joints.
+    def __init__(self, motors: list[Motor], gate: SafetyGate, positions: Sequence[float]) -> None:
+        """`motors` in joint order, the gripper's last; the first ones are the joints of `gate`.
 
         `positions` [rad] are those read when the motors were started, known until they report.
         """
+        witnesses = [
+            MotionWitness(name, lower - _BEYOND_LIMITS, upper + _BEYOND_LIMITS)
+            for name, lower, upper in zip(gate.joint_names, gate.lower, gate.upper, strict=True)
+        ]
+        dof = len(witnesses)
+        witnesses += [MotionWitness(f"the gripper's motor {motor.id}") for motor in motors[dof:]]
         self.records = {
-            motor.id: MotorRecord(motor, float(position))
-            for motor, position in zip(motors, positions, strict=True)
+            motor.id: MotorRecord(motor, float(position), witness=witness)
+            for motor, position, witness in zip(motors, positions, witnesses, strict=True)
         }
         self._joints = [self.records[motor.id] for motor in motors[:dof]]
-        self._limits = limits
+        self._limits = gate.limits
 
     def update(self, feedback: MotorFeedback, now: float) -> None:
         """Take a feedback frame of one of the motors."""
@@ -128,6 +130,16 @@ class FeedbackTable:
         """Position [rad], velocity [rad/s] and motor torque [Nm] of the joints, each (dof,)."""
         rows = np.array([(r.position, r.velocity, r.torque) for r in self._joints])
         return rows[:, 0], rows[:, 1], rows[:, 2]
+
+    def distrust(self, reasons: Mapping[int, str]) -> None:
+        """Note what is wrong with joints' feedback, by number of the joint; it is a trouble for good."""
+        for joint, reason in reasons.items():
+            self._joints[joint].witness.object(reason)
+
+    def timely(self, now: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which joints reported just now, and whose frames have lately come in time, each (dof,)."""
+        rows = np.array([(r.stamp == now, r.witness.steady(now)) for r in self._joints])
+        return rows[:, 0], rows[:, 1]
 
     def oldest(self, now: float) -> tuple[float, int]:
         """Age [s] of the oldest feedback, the gripper's included, and its motor's id."""

@@ -13,26 +13,43 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_adapters.airbot.arm import StartRefusedError
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import RangeError
 from robot_adapters.can.bus import BusError
 from robot_adapters.can.control import ArmMode
-from robot_adapters.safety import SafetyLimits
+from robot_adapters.safety import CommandStatus, FollowingError, SafetyEvent, SafetyLimits
 from robot_adapters.simulation.cell import SimulatedCell
 from robot_adapters.simulation.disturbances import Disturbance
-from robot_adapters.simulation.faults import DISTURBANCES, Fault, FaultKind, random_fault
+from robot_adapters.simulation.faults import (
+    DISTURBANCES,
+    SENSOR_FAULTS,
+    Fault,
+    FaultKind,
+    random_fault,
+)
 
 _FAULT_AT = 0.2  # s after the start of tracking
 _LONGEST = 1.2  # s of a lasting fault that are watched
 _WATCHED = 0.4  # s watched after the end of a fault
 _PERIOD = 0.05  # s between targets
+# How far an angle may be from the truth [rad] and how long [s] before the driver must have noticed, and how far the
+# arm may travel [rad] on its way to rest after false feedback was noticed.
+_WRONG, _NOTICED, _TRAVEL = 0.15, 0.5, 0.15
 _GRACE = 0.02  # s: some ticks of the loop and some frames of debouncing
 
+_ALWAYS_SHOW = (
+    FaultKind.JUMPED_ENCODER,
+    FaultKind.SATURATED_ENCODER,
+    FaultKind.DRIFTING_ENCODER,
+    FaultKind.SLIPPED_ZERO,
+    FaultKind.LYING_VELOCITY,
+    FaultKind.HEATING,
+)
 
 # What somebody else does to a motor, and the event that must say so within `_NOTICED` [s].
-_NOTICED = 0.5
 _INTRUSIONS = {
     FaultKind.OTHER_MASTER: "ForeignMaster",
     FaultKind.LIMP_MASTER: "ForeignMaster",
@@ -122,6 +139,7 @@ def run_case(fault: Fault, seed: int = 0) -> FaultCase:
         disturbance = Disturbance(cell, fault, seed)
         if fault.start == 0:
             disturbance.begin()
+        truth = _TruthWatch(cell)
         try:
             cell.arm.connect()
         except (BusError, RangeError, StartRefusedError) as error:
@@ -154,17 +172,63 @@ def run_case(fault: Fault, seed: int = 0) -> FaultCase:
                 wave = amplitude * (np.sin(1.2 * t + phase) - np.sin(phase))
                 result = cell.arm.command(home + wave)
                 names += [event.name for event in result.events]
+                if result.status is not CommandStatus.REFUSED:
+                    cell.listener.expect_motion()
                 for _ in range(5):
                     cell.clock.sleep(_PERIOD / 5)
                     modes.append(cell.arm.mode)
+                    events = cell.arm.events()
+                    names += [event.name for event in events]
+                    truth.watch(events)
+            cell.listener.expect_motion()
             outcome = _outcome(modes)
             if fault.kind is FaultKind.KILLED:
                 outcome = Outcome.STOP if disturbance.let_go else Outcome.TRACKING
         disturbance.close()
         complaints = _complaints(cell, fault, outcome, modes, names) + disturbance.complaints
+        complaints += truth.complaints(fault)
         commands, largest = cell.listener.commands, cell.listener.largest_step
     complaints += [f"on the bus: {violation}" for violation in cell.listener.violations[:3]]
     return FaultCase(seed, fault, outcome, tuple(dict.fromkeys(names)), tuple(complaints), commands, largest)
+
+
+class _TruthWatch:
+    """Compares what the driver says and does with the true joint angles of the simulated arm."""
+
+    def __init__(self, cell: SimulatedCell) -> None:
+        self._cell = cell
+        self._wrong_since: float | None = None
+        self._at_event: NDArray[np.float64] | None = None
+        self.longest_wrong = self.travel = 0.0
+
+    def watch(self, events: tuple[SafetyEvent, ...]) -> None:
+        """Look at the arm now; `events` are those since the last call."""
+        arm, simulation, listener = self._cell.arm, self._cell.simulation, self._cell.listener
+        now = self._cell.clock.monotonic()
+        # An arm that yields to what pushes it is the one that may move its commands after an event.
+        if listener and any(not isinstance(event, FollowingError) for event in events):
+            listener.expect_stillness()
+        wrong = bool(np.any(np.abs(arm.read().q - simulation.q) > _WRONG))
+        if not wrong or arm.mode is ArmMode.STOPPED:
+            self._wrong_since = None
+        elif self._wrong_since is None:
+            self._wrong_since = now
+        if self._wrong_since is not None:
+            self.longest_wrong = max(self.longest_wrong, now - self._wrong_since)
+        if events and self._at_event is None:
+            self._at_event = simulation.q
+        if arm.mode is ArmMode.STOPPED and self._at_event is not None:
+            self.travel = max(self.travel, float(np.max(np.abs(simulation.q - self._at_event))))
+
+    def complaints(self, fault: Fault) -> list[str]:
+        """What was wrong with that."""
+        found = []
+        if self.longest_wrong > _NOTICED + _GRACE:
+            found.append(f"did not notice in {self.longest_wrong:.2f} s that an angle was wrong")
+        # A motor that is too hot is relieved of its load, and its joint sinks.
+        if fault.kind in SENSOR_FAULTS and fault.kind is not FaultKind.HEATING and self.travel > _TRAVEL:
+            found.append(f"the arm moved by {self.travel:.3f} rad after the event")
+        return found
 
 
 def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[Outcome]:
@@ -172,14 +236,21 @@ def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[
 
     Damaged or missing frames lead to tracking, or to a hold where feedback stays away for more than its
     timeout, or to a stop where it does for more than the timeout of a lost motor. Errors, heat and a
-    controller off the bus lead to a stop, wrong ranges to no start.
+    controller off the bus lead to a stop, wrong ranges to no start. False feedback leads to a stop where it must
+    show whatever the arm does, else to a stop or tracking: then `_TruthWatch` judges.
     """
     limits = limits or SafetyLimits()
     stops = (FaultKind.MOTOR_ERROR, FaultKind.OVER_TEMPERATURE, FaultKind.BUS_OFF, FaultKind.WRONG_RANGES)
-    if fault.kind in stops or fault.kind is FaultKind.CONTROL_MODE:
+    if fault.kind in (*stops, *_ALWAYS_SHOW, FaultKind.CONTROL_MODE):
         return {Outcome.STOP}
     if fault.kind in DISTURBANCES:
         return _disturbed_outcomes(fault, limits)
+    if fault.kind in SENSOR_FAULTS:
+        return {
+            Outcome.TRACKING,
+            Outcome.STOP,
+            *([Outcome.HOLD] if fault.kind is FaultKind.NOISY_ENCODER else []),
+        }
     if fault.kind is FaultKind.DUPLICATED:
         return {Outcome.TRACKING}
     silence = fault.duration if fault.kind is not FaultKind.DELAYED else min(fault.duration, fault.magnitude)
@@ -191,6 +262,9 @@ def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[
         allowed.add(Outcome.STOP)
         if certain and silence > limits.lost_timeout + _GRACE:
             allowed.discard(Outcome.HOLD)
+    if fault.kind is FaultKind.DELAYED and silence > limits.feedback_timeout - _GRACE:
+        # Angles that are as old as stale ones may contradict the commands before they are called stale.
+        allowed.add(Outcome.STOP)
     return allowed
 
 

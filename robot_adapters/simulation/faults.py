@@ -36,6 +36,19 @@ class FaultKind(enum.StrEnum):
     REBOOTED = "rebooted"  # a motor restarts
     FROZEN = "frozen"  # the driver's process stands still, then goes on
     KILLED = "killed"
+    # What a joint's sensors report; see `sensor_faults`.
+    STUCK_ENCODER = "stuck_encoder"
+    JUMPED_ENCODER = "jumped_encoder"
+    SATURATED_ENCODER = "saturated_encoder"
+    DRIFTING_ENCODER = "drifting_encoder"
+    NOISY_ENCODER = "noisy_encoder"
+    FLIPPED_SIGN = "flipped_sign"
+    SCALED_ENCODER = "scaled_encoder"
+    SLIPPED_ZERO = "slipped_zero"
+    SWAPPED_FEEDBACK = "swapped_feedback"
+    LYING_VELOCITY = "lying_velocity"
+    LYING_TORQUE = "lying_torque"
+    HEATING = "heating"
 
 
 # What happens around the arm and its frames: acted out by `disturbances`.
@@ -60,7 +73,8 @@ class Fault:
     It lasts from `start` for `duration` [s, the arm's clock]. `motor_id` None means every motor. `rate` is
     the share of frames that a frame fault strikes. `magnitude` is the delay [s] of DELAYED, the error code of
     MOTOR_ERROR, the temperature of OVER_TEMPERATURE, the mode that a DM motor is in for CONTROL_MODE, the
-    commands per second of another master and, for WRONG_RANGES, the factor on the ranges that a motor reports.
+    commands per second of another master and, for WRONG_RANGES, the factor on the ranges that a motor reports;
+    for the kinds that strike sensors `sensor_faults` says what it is.
     """
 
     kind: FaultKind
@@ -133,6 +147,24 @@ class FaultInjector:
 
 MOTOR_ERRORS = {"od": (1, 2, 3, 4, 6, 7), "dm": (8, 9, 10, 11, 12, 13, 14)}
 
+# Of the faults drawn from a seed, up to their sign.
+SENSOR_MAGNITUDES = {
+    FaultKind.STUCK_ENCODER: (1.0, 1.0),
+    FaultKind.JUMPED_ENCODER: (0.1, 3.0),
+    FaultKind.SATURATED_ENCODER: (1.0, 1.0),
+    FaultKind.DRIFTING_ENCODER: (0.15, 1.0),
+    FaultKind.NOISY_ENCODER: (0.01, 0.5),
+    FaultKind.FLIPPED_SIGN: (1.0, 1.0),
+    FaultKind.SCALED_ENCODER: (0.1, 0.4),
+    FaultKind.SLIPPED_ZERO: (0.1, 1.0),
+    FaultKind.SWAPPED_FEEDBACK: (1.0, 1.0),
+    FaultKind.LYING_VELOCITY: (0.3, 3.0),
+    FaultKind.LYING_TORQUE: (1.0, 1.0),
+    FaultKind.HEATING: (100.0, 300.0),
+}
+SENSOR_FAULTS = tuple(SENSOR_MAGNITUDES)
+"""The kinds that strike what a joint's motor reports, for good."""
+
 
 def random_fault(
     random: np.random.Generator, start: float, kinds: Sequence[FaultKind] = tuple(FaultKind)
@@ -162,6 +194,9 @@ def random_fault(
         motor_id, magnitude, start, duration = _random_disturbance(random, kind, start, duration)
     elif kind is FaultKind.BUS_OFF:
         motor_id = None
+    elif kind in SENSOR_FAULTS:
+        duration = math.inf
+        magnitude = float(random.choice((-1.0, 1.0)) * random.uniform(*SENSOR_MAGNITUDES[kind]))
     return Fault(kind, motor_id, start, duration, rate, magnitude)
 
 

@@ -18,6 +18,7 @@ from robot_adapters.clock import Clock, Schedule, SimulatedClock
 FRAME = 0.05  # s
 MAX_STEP = 0.1  # rad per frame
 MAX_KP, MAX_KD = 101.0, 11.0
+STILL = 0.02  # rad that a command may move by while the arm is to keep still
 # Position codes have a quantum, and two frames 50 ms apart may come a little closer to each other.
 POSITION_MARGIN, TIME_MARGIN = 0.001, 0.0045
 # A frame that stays in force lets the joint rest at position + kd/kp velocity: velocities have a quantum too.
@@ -32,6 +33,8 @@ class JointWitness:
     lower: float
     upper: float
     measured: float | None = None
+    still_at: float | None = None
+    last: float | None = None
     recent: deque[tuple[float, float]] = field(default_factory=deque)
 
 
@@ -66,6 +69,17 @@ class BusListener:
             self._schedule.cancel()
             self._schedule = None
 
+    def expect_stillness(self) -> None:
+        """From now on every joint's command must stay where it is, until `expect_motion`."""
+        for witness in self.joints.values():
+            if witness.still_at is None:
+                witness.still_at = witness.last
+
+    def expect_motion(self) -> None:
+        """Commands may move again."""
+        for witness in self.joints.values():
+            witness.still_at = None
+
     def poll(self) -> None:
         """Judge the frames that came since the last call."""
         now = self.clock.monotonic()
@@ -85,6 +99,14 @@ class BusListener:
         name = f"joint{witness.motor.id} at {now:.3f} s"
         if command.kp > MAX_KP or command.kd > MAX_KD:
             self.violations.append(f"{name}: gains kp {command.kp:.0f}, kd {command.kd:.1f}")
+        witness.last = command.position
+        if (
+            witness.still_at is not None
+            and abs(command.position - witness.still_at) > STILL + POSITION_MARGIN
+        ):
+            moved = command.position - witness.still_at
+            self.violations.append(f"{name}: the command moved by {moved:.4f} rad after an event")
+            witness.still_at = None
         if command.kp == 0.0:
             witness.recent.clear()
             return

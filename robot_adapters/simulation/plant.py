@@ -6,13 +6,16 @@ factor per joint, the same by which a driver multiplies the gravity torque befor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
+
+_TOOL_CENTRE = (0.1594, 0.0, 0.0)  # m in the end link, where the real logs place it
+_LOAD_RADIUS = 0.03  # m
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,7 @@ class PlantParameters:
     torque_factors: motor torque per joint torque [Nm/Nm]. friction: Coulomb friction [Nm, motor]. damping:
     viscous friction [Nm s/rad, motor]. armature: reflected rotor inertia [kg m^2]. lag: time constant of each
     of the two first-order lags between command and motor [s], 0 for none. dead_time: delay before them [s].
+    payload: mass at the gripper's tool centre [kg], which the driver does not know of.
     """
 
     torque_factors: tuple[float, ...] = (0.6, 0.6, 0.6, 1.6, 1.25, 1.5)
@@ -32,12 +36,11 @@ class PlantParameters:
     lag: tuple[float, ...] = (0.1037, 0.1011, 0.103, 0.1189, 0.1198, 0.1229)
     dead_time: float = 0.01
     timestep: float = 0.001
+    payload: float = 0.0
 
     def without_lag(self) -> PlantParameters:
         """The same arm with commands that take effect at once, as bare motors in MIT mode do."""
-        return PlantParameters(
-            self.torque_factors, self.friction, self.damping, self.armature, (0.0,) * 6, 0.0, self.timestep
-        )
+        return replace(self, lag=(0.0,) * len(self.lag), dead_time=0.0)
 
 
 class ArmPlant:
@@ -121,6 +124,11 @@ class ArmPlant:
         for stage in (self._target, *self._queue, *self._lagged):
             stage[:, joint] = self.data.qpos[self._q_at[joint]], 0.0
 
+    def shift_lag(self, joint: int, offset: float) -> None:
+        """Move the commands still under way to a joint by `offset` [rad], as a motor does whose zero moves."""
+        for stage in (self._target, *self._queue, *self._lagged):
+            stage[0, joint] += offset
+
     def step(self, count: int = 1) -> None:
         """Advance by `count` timesteps."""
         for _ in range(count):
@@ -171,6 +179,10 @@ def _compile(mujoco: ModuleType, description: ArmDescription, parameters: PlantP
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    if parameters.payload > 0.0:
+        load = spec.body(description.tip_link).add_body(name="payload", pos=_TOOL_CENTRE)
+        load.mass, load.ipos, load.explicitinertial = parameters.payload, (0.0, 0.0, 0.0), True
+        load.inertia = (0.4 * parameters.payload * _LOAD_RADIUS**2,) * 3  # a ball's
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.timestep = parameters.timestep
     model = spec.compile()

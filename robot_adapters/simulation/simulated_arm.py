@@ -72,6 +72,11 @@ class SimulatedArm:
         }
         if tool is Tool.G2:
             self.motors[GRIPPER_ID] = SimulatedMotor(DmMotor(GRIPPER_ID), self.gripper, self.faults, random)
+        for joint in self.motors:
+            # The joint that is driven by the same kind of motor, where there is one.
+            self.motors[joint].neighbour = self.motors.get(
+                joint % 3 + 1 + 3 * (joint > 3), self.motors[joint]
+            ).body
         self._all_motors = list(self.motors.values())
         self._listeners = {motor.id: [motor] for motor in self._all_motors}
         self.protections = {i: StepProtection() for i, _ in bodies}

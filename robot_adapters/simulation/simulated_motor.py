@@ -21,8 +21,9 @@ from robot_adapters.airbot.protocol import (
     OdMotor,
     OdRegister,
 )
-from robot_adapters.simulation.faults import FaultInjector, FaultKind
+from robot_adapters.simulation.faults import Fault, FaultInjector, FaultKind
 from robot_adapters.simulation.plant import ArmPlant
+from robot_adapters.simulation.sensor_faults import SensorFaults
 
 POSITION_NOISE, VELOCITY_NOISE, TORQUE_NOISE = 1e-4, 5e-3, 5e-3  # standard deviations [rad, rad/s, Nm]
 AMBIENT = 30.0  # degrees C
@@ -47,18 +48,29 @@ class Body(Protocol):
         """Give no torque but braking."""
         ...
 
+    def move_zero(self, offset: float) -> None:
+        """Count positions from `offset` [rad] further on."""
+        ...
+
 
 class JointBody:
-    """One joint of the plant."""
+    """One joint of the plant, counted from the motor's zero."""
 
     def __init__(self, plant: ArmPlant, joint: int) -> None:
         self._plant, self._joint = plant, joint
+        self._zero = 0.0  # rad, the joint's angle at which the motor counts zero
 
     def state(self) -> tuple[float, float, float]:
-        return self._plant.joint_state(self._joint)
+        position, velocity, torque = self._plant.joint_state(self._joint)
+        return position - self._zero, velocity, torque
 
     def command(self, position: float, velocity: float, torque: float, kp: float, kd: float) -> None:
-        self._plant.command(self._joint, position, velocity, torque, kp, kd)
+        self._plant.command(self._joint, position + self._zero, velocity, torque, kp, kd)
+
+    def move_zero(self, offset: float) -> None:
+        """Count from an angle [rad] further on; commands under way mean the new zero at once."""
+        self._zero += offset
+        self._plant.shift_lag(self._joint, offset)
 
     def release(self, damping: float) -> None:
         self._plant.release(self._joint, damping)
@@ -82,6 +94,9 @@ class GripperBody:
 
     def release(self, damping: float) -> None:
         self._law = (0.0, 0.0, 0.0, 0.0, damping)
+
+    def move_zero(self, offset: float) -> None:
+        self._position -= offset
 
     def step(self, seconds: float) -> None:
         """Advance by `seconds`, implicitly in the velocity."""
@@ -110,7 +125,10 @@ class SimulatedMotor:
         self.commanded: float | None = None  # position [rad] of the MIT law in force, if any
         self.timeout = _VENDOR_TIMEOUT[codec.family]  # ticks, 0 for none
         self._heard: float | None = None  # when a command last came, while one acts or may act [s]
+        self.neighbour: Body = body  # of the joint whose feedback SWAPPED_FEEDBACK gives
         self._faults, self._random = faults, random
+        self._sensors = SensorFaults(faults, codec.id, random)
+        self._slipped: Fault | None = None
 
     @property
     def id(self) -> int:
@@ -151,10 +169,12 @@ class SimulatedMotor:
 
     def feedback(self, now: float) -> can.Message:
         """The feedback frame of this moment."""
-        position, velocity, torque = self.body.state()
+        position, velocity, torque = self._sensors.report(self.body.state(), self.neighbour.state(), now)
         noise = self._random.standard_normal(3).tolist()
         hot = self._faults.active(FaultKind.OVER_TEMPERATURE, self.id, now)
         temperature = round(hot.magnitude if hot else self.temperature)
+        if heating := self._sensors.active(FaultKind.HEATING, now):
+            temperature += round(abs(heating.magnitude) * (now - heating.start))
         error = self.error
         if isinstance(self.codec, DmMotor) and not error:
             error = int(self.enabled)
@@ -215,12 +235,18 @@ class SimulatedMotor:
         mode = self._faults.active(FaultKind.CONTROL_MODE, self.id, now)
         if mode and isinstance(self.codec, DmMotor):
             self.control_mode = int(mode.magnitude)
+        slip = self._faults.active(FaultKind.SLIPPED_ZERO, self.id, now)
+        if slip and slip is not self._slipped:
+            self._slipped = slip
+            self.body.move_zero(slip.magnitude)
 
     def _live(self, action: DmLifecycle, now: float) -> None:
         if action is DmLifecycle.ENABLE:
             self.enabled, self._heard = True, now
         elif action is DmLifecycle.CLEAR_ERROR:
             self.error = 0
+        elif action is DmLifecycle.SET_ZERO:
+            self.body.move_zero(self.body.state()[0])
         elif action is DmLifecycle.DISABLE:
             self.enabled = False
             self.commanded = self._heard = None
