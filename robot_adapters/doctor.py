@@ -17,7 +17,7 @@ import numpy as np
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.poses import IDENTITY, PoseFormat, compose, decode_pose, pose_distance
 from robot_adapters.airbot.protocol import DmMotor, MotorFeedback
-from robot_adapters.airbot.startup import ArmIdentity, RangeError, identify
+from robot_adapters.airbot.startup import ArmIdentity, RangeError, identify, other_master
 from robot_adapters.can.bus import ask, open_bus
 from robot_adapters.can.dm_motor import DM_ERRORS
 from robot_adapters.clock import RealClock
@@ -94,6 +94,7 @@ class Doctor:
             ("checkpoint", self._checkpoint, policy, "plugin"),
             ("checkpoint against robot", self._match, policy, "checkpoint"),
             ("bus", self._open, bus, ""),
+            ("other masters", self._alone, bus, "bus"),
             ("boards", self._boards, bus, "bus"),
             ("motors", self._motors, bus, "boards"),
             ("ranges", self._ranges, bus, arm),
@@ -205,6 +206,12 @@ class Doctor:
             detail, _, remedy = str(error).partition("; ")
             raise CheckFailed(detail, remedy or "check the interface and the channel") from error
         return f"{options.interface} {options.channel or ''} is open".replace("  ", " ")
+
+    def _alone(self) -> str:
+        other = other_master(self._bus, self._clock)
+        if other is not None:
+            raise CheckFailed(other.detail, other.remedy)
+        return "nobody else commands the motors"
 
     def _boards(self) -> str:
         from robot_adapters.airbot.startup import read_tool

@@ -15,14 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from robot_adapters.airbot.gripper import opening_from_motor_angle
-from robot_adapters.airbot.protocol import Tool, all_motors
+from robot_adapters.airbot.protocol import Tool
 from robot_adapters.airbot.settings import AirbotSettings
-from robot_adapters.airbot.startup import ArmIdentity, bring_up, identify, release
+from robot_adapters.airbot.startup import ArmIdentity, bring_up, identify, other_master, release
 from robot_adapters.can import real_time
 from robot_adapters.can.bus import BusError, open_bus, unread
 from robot_adapters.can.control import ArmMode, ControlLoop
 from robot_adapters.can.gravity import GravityModel
-from robot_adapters.can.one_master import find_master
 from robot_adapters.can.statistics import DriverStatistics
 from robot_adapters.clock import Clock, RealClock, Schedule, SimulatedClock
 from robot_adapters.safety import (
@@ -144,7 +143,7 @@ class AirbotArm:
         self.identity = None  # until the motors are ours: `close` then has none to release
         self._bus = open_bus(self.interface, self.channel, **self._bus_options)
         try:
-            other = find_master(self._bus, self.clock, all_motors(), self.settings.listen)
+            other = other_master(self._bus, self.clock, self.settings)
             if other is not None:
                 raise StartRefusedError(other)
             identity = identify(self._bus, self.clock, self.settings)

@@ -27,10 +27,13 @@ from robot_adapters.airbot.protocol import (
     OdRegister,
     ParameterReply,
     Tool,
+    all_motors,
 )
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.can.bus import NoAnswerError, ask, drain, receive, send
+from robot_adapters.can.one_master import find_master
 from robot_adapters.clock import Clock
+from robot_adapters.safety import ForeignMaster
 
 RANGE_REGISTERS = (DmRegister.POS_MAX, DmRegister.VEL_MAX, DmRegister.TORQUE_MAX)
 # Of the arm's DM motors (DM-J4310): pos_max [rad], vel_max [rad/s], torque_max [Nm]. A motor scales all its
@@ -68,6 +71,13 @@ class ArmIdentity:
     voltage: float
     gravity_factors: tuple[float, ...]
     motors: tuple[MotorIdentity, ...]
+
+
+def other_master(
+    bus: can.BusABC, clock: Clock, settings: AirbotSettings | None = None
+) -> ForeignMaster | None:
+    """Whether somebody else commands the arm's motors: listens for `settings.listen` seconds, sends nothing."""
+    return find_master(bus, clock, all_motors(), (settings or AirbotSettings()).listen)
 
 
 def identify(bus: can.BusABC, clock: Clock, settings: AirbotSettings | None = None) -> ArmIdentity:
