@@ -12,9 +12,10 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from lerobot_mimicik.kinematics.poses import PolicyFrames
+from lerobot_mimicik.kinematics.poses import PolicyFrames, PoseFormat
+from robot_adapters.arrays import float_array
 
 if TYPE_CHECKING:
     from robot_adapters.adapter import IKResult, MimicIKAdapter
@@ -45,10 +46,12 @@ class EndEffectorPolicy:
         Args:
             adapter: the arm's inverse kinematics.
             policy: one of
-                - a LeRobot policy (`select_action`): the observation becomes a batch of one;
+                - a LeRobot policy (`select_action`, or only `predict_action_chunk`): the observation becomes a
+                  batch of one;
                 - a client (`infer`), as remote VLA servers have: a mapping with `actions`, or an array;
                 - a function of the observation.
-                Each answers with (d,), or a chunk (T, d); d is the pose's width, and one more with a gripper.
+                Each answers with (d,), or a chunk (T, d), or a batch of one chunk (1, T, d), in numpy or torch;
+                d is the pose's width, and one more with a gripper.
             frames: format, reference, tool and base frame of the policy's poses.
             actions_per_chunk: poses used of a chunk before the policy is asked again; None: all.
             sees_joints: whether the policy's `observation.state` is the joints as measured; else it is the
@@ -80,7 +83,8 @@ class EndEffectorPolicy:
 
         Args:
             observation: `observation.state`, the measured joints [rad] (dof,), and the gripper's opening where
-                there is one, (dof + 1,); whatever else the policy needs.
+                there is one, (dof + 1,); whatever else the policy needs. With a batch of one, (1, dof), all of
+                the observation is one, and the policy sees it as such.
 
         Returns:
             absolute joint command [rad], (dof,); with the gripper's, (dof + 1,), if the policy commands it or
@@ -101,11 +105,12 @@ class EndEffectorPolicy:
     def _split(self, observation: Mapping[str, Any]) -> tuple[Array, float | None]:
         if STATE not in observation:
             raise KeyError(f"the observation has no {STATE!r}; it has {sorted(observation)}")
-        state = np.asarray(observation[STATE], dtype=float)
+        given = float_array(observation[STATE])
         dof = len(self.adapter.joint_names)
+        state = given[0] if given.ndim == 2 and len(given) == 1 else given
         if state.shape not in ((dof,), (dof + 1,)):
             raise ValueError(
-                f"{STATE}: expected {dof} joints, or these and a gripper, got shape {state.shape}"
+                f"{STATE}: expected {dof} joints, or these and a gripper, of one arm, got shape {given.shape}"
             )
         return state[:dof], float(state[dof]) if len(state) > dof else None
 
@@ -114,16 +119,23 @@ class EndEffectorPolicy:
     ) -> list[tuple[Array, float | None]]:
         pose = self.adapter.forward(joints)
         seen = dict(observation)
-        seen[POSE] = self.frames.to_policy(pose)
+        as_given = np.shape(observation[STATE])[:-1]  # (), or (1,) for a batch of one
+        numbers = self.frames.to_policy(pose)
+        seen[POSE] = numbers.reshape(*as_given, -1)
         if not self.sees_joints:
-            seen[STATE] = seen[POSE] if gripper is None else np.append(seen[POSE], gripper)
+            state = numbers if gripper is None else np.append(numbers, gripper)
+            seen[STATE] = state.reshape(*as_given, -1)
         answer = self._ask(seen)
+        shape = answer.shape
+        if answer.ndim == 3 and len(answer) == 1:
+            answer = answer[0]
         width = self.frames.form.width
         if answer.ndim not in (1, 2) or answer.shape[-1] not in (width, width + 1) or not answer.size:
             names = " ".join(self.frames.form.names)
             raise ValueError(
-                f"the policy answered with shape {answer.shape}; expected poses of {width} numbers ({names}), "
-                f"or {width + 1} with a gripper, one or a chunk (T, d)"
+                f"the policy answered with shape {shape}; expected poses of {width} numbers ({names}), or "
+                f"{width + 1} with a gripper: one (d,), a chunk (T, d) or a batch of one chunk (1, T, d). Other "
+                f"formats: PolicyFrames(form=...) with {', '.join(PoseFormat)}"
             )
         rows = np.atleast_2d(answer)[: self.actions_per_chunk]
         if not np.isfinite(rows).all():
@@ -135,37 +147,45 @@ class EndEffectorPolicy:
         return list(zip(targets, openings, strict=True))
 
     def _find_call(self, policy: Any) -> Callable[[dict[str, Any]], Array]:
-        if hasattr(policy, "select_action"):
-            return self._ask_lerobot
+        for method in ("select_action", "predict_action_chunk"):
+            if callable(getattr(policy, method, None)):
+                call = getattr(policy, method)
+                return lambda observation: self._ask_lerobot(call, observation)
         if hasattr(policy, "infer"):
             return lambda observation: _actions(policy.infer(observation))
         if callable(policy):
             return lambda observation: _actions(policy(observation))
         raise TypeError(
-            f"{type(policy).__name__} is no end-effector policy: expected select_action, infer, or a function"
+            f"{type(policy).__name__} is no end-effector policy: expected an object with select_action, "
+            "predict_action_chunk or infer, or a function of the observation"
         )
 
-    def _ask_lerobot(self, observation: dict[str, Any]) -> Array:
-        """A LeRobot policy's next action: it keeps its own chunk."""
+    def _ask_lerobot(self, method: Callable[[Any], Any], observation: dict[str, Any]) -> Array:
+        """A LeRobot policy's next action (d,), of the chunk that it keeps, or a chunk (T, d)."""
         import torch
 
-        batch: Any = {
-            name: torch.as_tensor(np.asarray(value), dtype=torch.float32).unsqueeze(0)
-            if isinstance(value, (np.ndarray, list, tuple))
-            else value
-            for name, value in observation.items()
-        }
+        single = np.ndim(observation[POSE]) == 1
+        batch: Any = dict(observation)
+        for name, value in observation.items():
+            if isinstance(value, (np.ndarray, list, tuple)):
+                tensor = torch.as_tensor(np.asarray(value), dtype=torch.float32)
+                batch[name] = tensor.unsqueeze(0) if single else tensor
         with torch.inference_mode():
             batch = self.preprocessor(batch) if self.preprocessor else batch
-            action = self.policy.select_action(batch)
+            action = method(batch)
             action = self.postprocessor(action) if self.postprocessor else action
-        return action[0].double().cpu().numpy()
+        return _actions(action)[0]
 
 
-def _actions(answer: ArrayLike | Mapping[str, Any]) -> Array:
+def _actions(answer: Any) -> Array:
     if isinstance(answer, Mapping):
         for name in ("actions", "action"):
             if name in answer:
-                return np.asarray(answer[name], dtype=float)
+                return _actions(answer[name])
         raise ValueError(f"the policy answered with {sorted(answer)}; expected 'actions'")
-    return np.asarray(answer, dtype=float)
+    try:
+        return float_array(answer)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"the policy answered with {type(answer).__name__}, not with numbers: {error}"
+        ) from error

@@ -19,9 +19,16 @@ from tqdm import tqdm
 
 from lerobot_mimicik.evaluation.rollouts import Rollout, RolloutOptions, register_mode
 from lerobot_mimicik.evaluation.trajectories import Trajectory
+from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.array_chain import array_chain
+from lerobot_mimicik.kinematics.plausibility import joint_limits
+from lerobot_mimicik.kinematics.poses import compose, inverse, pose_distance
 from lerobot_mimicik.solvers.base import Array, IKSolver
 
 FPS = 20.0
+_SAME_PLACE = 0.02  # m: a calibrated URDF of the same arm moves the tool by some millimetres
+_SAME_TURN = 0.1  # rad, likewise
+_POSTURES = 8  # compared; two arms that agree in one or two by chance do not in so many
 
 
 @register_mode("plant")
@@ -49,6 +56,8 @@ def _drive_all(
     from robot_adapters.deployment import drive
     from robot_adapters.simulation.cell import SimulatedCell
 
+    for trajectory in trajectories:
+        refuse_another_arm(trajectory)
     rollouts = []
     with tqdm(
         total=sum(map(len, trajectories)),
@@ -59,11 +68,6 @@ def _drive_all(
     ) as bar:
         for number, trajectory in enumerate(trajectories):
             with SimulatedCell(q=trajectory.q[0], seed=options.seed + number) as cell:
-                if trajectory.q.shape[1] != len(cell.arm.joint_names):
-                    raise ValueError(
-                        f"modes plant drive an AIRBOT Play of {len(cell.arm.joint_names)} joints; the "
-                        f"recordings have {trajectory.q.shape[1]}"
-                    )
                 cell.arm.connect()
                 solver.reset(trajectory.q[:1] if solver.batched else trajectory.q[0])
 
@@ -79,3 +83,33 @@ def _drive_all(
             # Steps are counted from command to command, as the arm's own protections count them.
             rollouts.append(Rollout(trajectory, log.before, log.commanded, log.asked))
     return rollouts
+
+
+def refuse_another_arm(trajectory: Trajectory) -> None:
+    """Refuse a motion that is not an AIRBOT Play's, by its joints and, where its arm is known, by that.
+
+    Tools may differ: between the two arms' tools there must be a constant pose, however the joints stand.
+
+    Raises:
+        ValueError: it is another arm's.
+    """
+    own, other = describe_arm("airbot_play"), trajectory.arm
+    beginning = f"the modes plant drive an AIRBOT Play; trajectory {trajectory.index} is of another arm"
+    dof = trajectory.q.shape[1]
+    if dof != len(own.joint_names):
+        raise ValueError(f"{beginning}, with {dof} joints: expected {len(own.joint_names)}")
+    if other is None:
+        return
+    if other.joint_names != own.joint_names:
+        raise ValueError(
+            f"{beginning}, with joints {', '.join(other.joint_names)}: expected {', '.join(own.joint_names)}"
+        )
+    lower, upper = joint_limits(own)
+    q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, dof))
+    between = compose(inverse(array_chain(own).pose(q)), array_chain(other).pose(q))
+    apart = np.max([pose_distance(between[0], pose) for pose in between], axis=0)
+    if (apart > (_SAME_PLACE, _SAME_TURN)).any():
+        raise ValueError(
+            f"{beginning}: its joints have the same names, but move the tool elsewhere (by {apart[0]:.3f} m, "
+            f"{apart[1]:.2f} rad)"
+        )

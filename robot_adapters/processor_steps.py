@@ -8,25 +8,33 @@ registry: they are found by their import path, also where plugins are not import
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from lerobot.configs import FeatureType, PipelineFeatureType, PolicyFeature
 from lerobot.lerobot_types import EnvTransition, RobotAction, TransitionKey
-from lerobot.processor import ObservationProcessorStep, ProcessorStep, RobotActionProcessorStep
+from lerobot.processor import (
+    AbsoluteActionsProcessorStep,
+    ObservationProcessorStep,
+    RelativeActionsProcessorStep,
+    RobotActionProcessorStep,
+)
 from lerobot.utils.constants import OBS_ENV_STATE, OBS_STATE
 from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.plausibility import check_plausible
 from lerobot_mimicik.kinematics.poses import IDENTITY, PolicyFrames, PoseFormat
 from lerobot_mimicik.weights import load_tensors
 from robot_adapters.adapter import AdapterSettings, IKResult, MimicIKAdapter
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 _POSE = ("x", "y", "z", "wx", "wy", "wz")
+_LONGEST_TURN = 4 * np.pi
+"""rad: no rotation needs a vector longer than half a turn, sums of small turns reach some; degrees exceed it."""
 
 
 @dataclass
@@ -37,19 +45,35 @@ class MimicIKEEToJoints(RobotActionProcessorStep):
     have any name, or be absent; joints are in radians or degrees; and `result` says what became of the pose.
 
     Attributes:
-        adapter: the arm's inverse kinematics.
+        adapter: the arm's inverse kinematics; LeRobot's keyword `kinematics` names it too.
         motor_names: the robot's motors, in its order; those that are not the arm's joints pass through (one
             gripper at most).
-        joint_units: `rad` or `deg`, of the robot.
+        joint_units: `rad` or `deg`, of the robot; it has no default.
+        kinematics: the same as `adapter`.
+        initial_guess_current_joints: LeRobot's keyword for the joints that a step starts from: True sets the
+            adapter's `reference` to `measured`, False to `commanded`; None leaves it.
         result: what became of the last pose; None before.
     """
 
-    adapter: MimicIKAdapter
-    motor_names: list[str]
-    joint_units: str = "deg"
+    adapter: MimicIKAdapter = None  # type: ignore[assignment]
+    motor_names: list[str] = field(default_factory=list)
+    joint_units: str = ""
+    kinematics: MimicIKAdapter | None = None
+    initial_guess_current_joints: bool | None = None
     result: IKResult | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
+        given = [each for each in (self.adapter, self.kinematics) if each is not None]
+        if len(given) != 1 or not isinstance(given[0], MimicIKAdapter):
+            found = " and ".join(type(each).__name__ for each in given) or "none"
+            raise TypeError(
+                f"expected one MimicIKAdapter as adapter (or kinematics), got {found}; "
+                "MimicIKAdapter.from_pretrained(checkpoint) makes one, and placo is not needed"
+            )
+        self.adapter = self.kinematics = given[0]
+        if self.initial_guess_current_joints is not None:
+            reference = "measured" if self.initial_guess_current_joints else "commanded"
+            self.adapter.settings = replace(self.adapter.settings, reference=reference)
         missing = [name for name in self.adapter.joint_names if name not in self.motor_names]
         others = [name for name in self.motor_names if name not in self.adapter.joint_names]
         if missing or len(others) > 1:
@@ -57,8 +81,7 @@ class MimicIKEEToJoints(RobotActionProcessorStep):
                 f"the checkpoint drives {list(self.adapter.joint_names)}; motor_names {self.motor_names} lack "
                 f"{missing} and have {others} besides (expected one gripper at most)"
             )
-        if self.joint_units not in ("rad", "deg"):
-            raise ValueError(f"joint_units={self.joint_units!r}: expected 'rad' or 'deg'")
+        _check_units(self.joint_units)
         self._gripper = others[0] if others else None
 
     def action(self, action: RobotAction) -> RobotAction:
@@ -66,6 +89,7 @@ class MimicIKEEToJoints(RobotActionProcessorStep):
 
         Raises:
             KeyError: a number of the pose, or a joint of the observation, is missing.
+            ValueError: joints or a rotation that are in another unit, as far as that can be seen.
         """
         keys = [f"ee.{name}" for name in _POSE] + (["ee.gripper_pos"] if self._gripper else [])
         missing = [key for key in keys if action.get(key) is None]
@@ -77,9 +101,12 @@ class MimicIKEEToJoints(RobotActionProcessorStep):
             raise KeyError(
                 f"the observation has {sorted(observation)}; expected the measured joints {joints}"
             )
-        to_rad = np.pi / 180 if self.joint_units == "deg" else 1.0
+        to_rad = _to_rad(self.joint_units)
         measured = np.array([float(observation[key]) for key in joints]) * to_rad
+        _check_joints(self.adapter.description, measured, self.joint_units)
         numbers = [float(action.pop(key)) for key in keys]
+        if np.linalg.norm(numbers[3:6]) > _LONGEST_TURN:
+            raise ValueError(f"ee.wx, ee.wy, ee.wz are {numbers[3:6]}: expected a rotation vector in rad")
         frames = PolicyFrames(form=PoseFormat.ROTATION_VECTOR)
         target = frames.from_policy(numbers[:6], self.adapter.forward(measured))
         self.result = self.adapter.solve(measured, target)
@@ -105,24 +132,36 @@ class MimicIKEEToJoints(RobotActionProcessorStep):
         self.result = None
 
 
-@dataclass
-class JointsToEEState(ObservationProcessorStep):
+@dataclass(kw_only=True)
+class JointsToEEState(ObservationProcessorStep, RelativeActionsProcessorStep):
     """The state of a joint-space robot as an end-effector policy saw it in training.
 
-    Keeps the last measured joints for `EEActionToJoints`, which is in the other pipeline: `latest`.
+    Keeps the last measured joints for `EEActionToJoints`, which is in the other pipeline. LeRobot connects the
+    two when it loads them (`make_pre_post_processors`), since they are a pair of relative and absolute actions
+    to it; the conversion of those is off.
+
+    Attributes:
+        arm: the arm's description, as JSON.
+        joint_units: `rad` or `deg`, of the robot.
+        rotation: format of the policy's poses.
+        tool: the policy's tool in the arm's tool frame (7,); empty: the same.
+        state_keys: the keys that the policy finds its state under.
+        link: in older checkpoints only, without effect.
     """
 
+    _registry_name: ClassVar[str | None] = None  # found by import path, not as LeRobot's own step
     arm: str
-    joint_units: str = "rad"
+    joint_units: str
     rotation: str = PoseFormat.QUATERNION.value
     tool: list[float] = field(default_factory=list)
     state_keys: list[str] = field(default_factory=lambda: [OBS_STATE])
-    latest: ClassVar[dict[str, NDArray[np.float64]]] = {}
-    link: str = "ik"
+    link: str = ""
 
     def __post_init__(self) -> None:
         from lerobot_mimicik.kinematics.array_chain import array_chain
 
+        _check_units(self.joint_units)
+        self._measured: NDArray[np.float64] | None = None
         self._description = ArmDescription.from_json(self.arm)
         self._chain = array_chain(self._description)
         self._frames = make_frames(self.rotation, self.tool)
@@ -131,7 +170,7 @@ class JointsToEEState(ObservationProcessorStep):
         """Replaces joints (and gripper) by the pose (and gripper).
 
         Raises:
-            KeyError, ValueError: there is no state, or it has the wrong size.
+            KeyError, ValueError: there is no state, or it has the wrong size or unit.
         """
         if OBS_STATE not in observation:
             raise KeyError(f"the observation has no {OBS_STATE!r}; it has {sorted(observation)}")
@@ -142,12 +181,22 @@ class JointsToEEState(ObservationProcessorStep):
                 f"{OBS_STATE}: expected {dof} joints, or these and a gripper, got {tuple(state.shape)}"
             )
         numbers = state.detach().double().cpu().numpy()
-        joints = numbers[..., :dof].reshape(-1, dof) * (np.pi / 180 if self.joint_units == "deg" else 1.0)
+        joints = numbers[..., :dof].reshape(-1, dof) * _to_rad(self.joint_units)
+        _check_joints(self._description, joints, self.joint_units)
         pose = self._frames.to_policy(self._chain.pose(joints)).reshape(*numbers.shape[:-1], -1)
-        self.latest[self.link] = joints[-1]
+        self._measured = joints[-1]
         seen = np.concatenate([pose, numbers[..., dof:]], axis=-1)
         given = torch.as_tensor(seen, dtype=state.dtype, device=state.device)
         return observation | dict.fromkeys(self.state_keys, given)
+
+    def take_joints(self) -> NDArray[np.float64] | None:
+        """The joints (dof,) [rad] of the last observation, once; None if there was none since."""
+        joints, self._measured = self._measured, None
+        return joints
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._measured = None
 
     def get_config(self) -> dict[str, Any]:
         """What the checkpoint stores."""
@@ -157,7 +206,6 @@ class JointsToEEState(ObservationProcessorStep):
             "rotation": self.rotation,
             "tool": self.tool,
             "state_keys": self.state_keys,
-            "link": self.link,
         }
 
     def transform_features(self, features: Features) -> Features:
@@ -182,40 +230,56 @@ class StateAsEnvironment(ObservationProcessorStep):
         return features
 
 
-@dataclass
-class EEActionToJoints(ProcessorStep):
+@dataclass(kw_only=True)
+class EEActionToJoints(AbsoluteActionsProcessorStep):
     """Poses that a policy answered with to joint commands; the MimicIK weights are this step's state.
 
     Where a whole chunk passes without a new observation in between (asynchronous inference), each pose starts
     from the command before it.
+
+    Attributes:
+        policy: the MimicIK policy's configuration.
+        joint_units: `rad` or `deg`, of the robot.
+        rotation, tool: as in `JointsToEEState`.
+        settings: of the adapter.
+        link: in older checkpoints only, without effect.
+        relative_step: the `JointsToEEState` of the same policy; LeRobot sets it.
+        adapter: the inverse kinematics, ready once the weights are loaded.
+        result: what became of the last pose; None before.
     """
 
+    _registry_name: ClassVar[str | None] = None  # found by import path, not as LeRobot's own step
     policy: dict[str, Any]
-    joint_units: str = "rad"
+    joint_units: str
     rotation: str = PoseFormat.QUATERNION.value
     tool: list[float] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
-    link: str = "ik"
+    link: str = ""
     result: IKResult | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         from lerobot_mimicik.configuration_mimicik import MimicIKConfig
-        from lerobot_mimicik.kinematics.chain import SerialArm
         from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
-        from lerobot_mimicik.solvers.mimicik import MimicIKSolver
 
+        _check_units(self.joint_units)
         self._policy = MimicIKPolicy(MimicIKConfig(**self.policy)).eval()
         self._frames = make_frames(self.rotation, self.tool)
+        self.adapter = self._make_adapter()
+        self._last: NDArray[np.float64] | None = None
+
+    def _make_adapter(self) -> MimicIKAdapter:
+        from lerobot_mimicik.kinematics.chain import SerialArm
+        from lerobot_mimicik.solvers.mimicik import MimicIKSolver
+
         description = self._policy.config.arm_description()
         solver = MimicIKSolver(SerialArm(description), self._policy)
-        self._adapter = MimicIKAdapter(solver, description, AdapterSettings(**self.settings))
-        self._last: NDArray[np.float64] | None = None
+        return MimicIKAdapter(solver, description, AdapterSettings(**self.settings))
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
         """Replaces the action, shape (d,), (B, d) or (B, T, d) with B = 1.
 
         Raises:
-            RuntimeError: no observation has passed `JointsToEEState` before.
+            RuntimeError: no observation has passed `JointsToEEState` before, or it is not connected.
             ValueError: several actions at once, or a wrong size.
         """
         action = transition.get(TransitionKey.ACTION)
@@ -230,17 +294,23 @@ class EEActionToJoints(ProcessorStep):
         return changed
 
     def _solve(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
-        measured = JointsToEEState.latest.pop(self.link, self._last)
+        if not isinstance(self.relative_step, JointsToEEState):
+            raise RuntimeError(
+                "the postprocessor is not connected to its preprocessor: load the two together, with LeRobot's "
+                "make_pre_post_processors"
+            )
+        taken = self.relative_step.take_joints()
+        measured = self._last if taken is None else taken
         if measured is None:
             raise RuntimeError("no joints yet: an observation must pass the preprocessor before an action")
         width = self._frames.form.width
         if len(row) not in (width, width + 1):
             raise ValueError(f"expected a pose of {width} numbers, with or without a gripper, got {len(row)}")
         try:
-            target = self._frames.from_policy(row[:width], self._adapter.forward(measured))
+            target = self._frames.from_policy(row[:width], self.adapter.forward(measured))
         except ValueError:
             target = np.full(7, np.nan)  # no rotation: the adapter holds and says so
-        self.result = self._adapter.solve(measured, target)
+        self.result = self.adapter.solve(measured, target)
         self._last = self.result.q
         q = np.degrees(self._last) if self.joint_units == "deg" else self._last
         return np.concatenate([q, row[width:]])
@@ -253,7 +323,6 @@ class EEActionToJoints(ProcessorStep):
             "rotation": self.rotation,
             "tool": self.tool,
             "settings": self.settings,
-            "link": self.link,
         }
 
     def state_dict(self) -> dict[str, Tensor]:
@@ -261,19 +330,20 @@ class EEActionToJoints(ProcessorStep):
         return {name: value.contiguous() for name, value in self._policy.state_dict().items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        """Loads the weights, strictly, and with them how far targets were from the tool in training.
+        """Loads the weights, strictly, with how far targets were from the tool in training; warms up.
 
         Raises:
             CheckpointError: a tensor is missing, surplus, misshapen or not finite; it names it.
         """
         load_tensors(self._policy, state, "the weights of EEActionToJoints")
-        settings = AdapterSettings(**self.settings)
-        self._adapter = MimicIKAdapter(self._adapter.solver, self._adapter.description, settings)
+        self.adapter = self._make_adapter()
+        self.adapter.warm_up()
 
     def reset(self) -> None:
         """Forget the past."""
-        JointsToEEState.latest.pop(self.link, None)
-        self._adapter.reset()
+        if isinstance(self.relative_step, JointsToEEState):
+            self.relative_step.reset()
+        self.adapter.reset()
         self._last = self.result = None
 
     def transform_features(self, features: Features) -> Features:
@@ -284,3 +354,20 @@ class EEActionToJoints(ProcessorStep):
 def make_frames(rotation: str, tool: list[float]) -> PolicyFrames:
     """Absolute poses in a rotation format, with a tool frame; an empty one is the arm's own."""
     return PolicyFrames(form=PoseFormat(rotation), tool=tool or tuple(IDENTITY))
+
+
+def _check_units(joint_units: str) -> None:
+    if joint_units not in ("rad", "deg"):
+        raise ValueError(
+            f"joint_units={joint_units!r}: expected 'rad' or 'deg', the unit of the robot's joints (airbot_play: "
+            "rad; most of LeRobot's robots: deg)"
+        )
+
+
+def _to_rad(joint_units: str) -> float:
+    return np.pi / 180 if joint_units == "deg" else 1.0
+
+
+def _check_joints(description: ArmDescription, joints: NDArray[np.float64], joint_units: str) -> None:
+    remedy = f"joint_units is {joint_units!r}; set it to the unit of the robot, 'rad' or 'deg'"
+    check_plausible(description, joints, what="the measured joints", joints_remedy=remedy)

@@ -50,13 +50,19 @@ def wrap_checkpoint(
     Raises:
         FileExistsError: `output` holds something.
         FileNotFoundError, TypeError: a checkpoint is missing, or not of the right kind.
-        ValueError: the policy's state or action is no pose in that format.
+        ValueError: the policy's state or action is no pose in that format, or a difference of poses.
     """
     from lerobot.configs import PreTrainedConfig
     from lerobot.policies.factory import make_pre_post_processors
-    from lerobot.processor import NormalizerProcessorStep, PolicyProcessorPipeline, ProcessorStep
+    from lerobot.processor import (
+        NormalizerProcessorStep,
+        PolicyProcessorPipeline,
+        ProcessorStep,
+        RelativeActionsProcessorStep,
+    )
 
     from lerobot_mimicik.checkpoints import find_checkpoint
+    from lerobot_mimicik.solvers.mimicik import MimicIKSolver
     from robot_adapters.processor_steps import EEActionToJoints, JointsToEEState, StateAsEnvironment
 
     output = Path(output)
@@ -70,13 +76,13 @@ def wrap_checkpoint(
     joint_names: Sequence[str] = ()
     if ik_path is not None:
         adapter = MimicIKAdapter.from_pretrained(ik_path)
-        policy = adapter.solver.policy  # type: ignore[attr-defined]
+        assert isinstance(adapter.solver, MimicIKSolver)  # what from_pretrained makes
+        policy = adapter.solver.policy
         joint_names = adapter.joint_names
         shared: dict[str, Any] = {
             "joint_units": joint_units,
             "rotation": rotation.value,
             "tool": list(tool),
-            "link": f"{source.name}-{Path(ik_path).name}-{output.name}",
         }
         before = JointsToEEState(arm=adapter.description.to_json(), state_keys=state_keys, **shared)
         # The settings as asked for: the checkpoint's training ranges are found again on loading.
@@ -89,7 +95,15 @@ def wrap_checkpoint(
         raise ValueError("without ik.path there is nothing to do: the policy needs no environment state")
     preprocessor, postprocessor = make_pre_post_processors(config, pretrained_path=str(source))
     steps = list(preprocessor.steps)
-    place = next((i for i, s in enumerate(steps) if isinstance(s, NormalizerProcessorStep)), len(steps))
+    relative = (step for step in steps if isinstance(step, RelativeActionsProcessorStep))
+    if ik_path is not None and any(step.enabled for step in relative):
+        raise ValueError(
+            f"the policy ({config.type}) answers with differences to its state (use_relative_actions); expected "
+            "absolute poses"
+        )
+    # The policy's own step for relative actions, which is off, comes after: LeRobot connects the first of them.
+    own = (NormalizerProcessorStep, RelativeActionsProcessorStep)
+    place = next((i for i, step in enumerate(steps) if isinstance(step, own)), len(steps))
     steps.insert(place, before)
     output.mkdir(parents=True, exist_ok=True)
     for pattern in _COPIED:

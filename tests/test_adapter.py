@@ -494,6 +494,44 @@ def test_chunks_are_used_up_and_refer_to_the_pose_at_which_they_were_asked():
     assert remote.asked == 3
 
 
+class OnlyChunks(torch.nn.Module):
+    """A LeRobot policy that predicts chunks, and nothing else."""
+
+    def predict_action_chunk(self, batch):
+        """Two poses, five and ten millimetres ahead in x."""
+        assert batch["observation.state"].shape == (1, 7)
+        assert batch["observation.images.top"].shape == (1, 3, 4, 4)
+        ahead = torch.tensor([[0.005], [0.010]]) * torch.eye(7)[0]
+        return batch["observation.state"][:, None] + ahead
+
+
+def test_a_policy_with_chunks_only_is_asked_for_them(numerical):
+    policy = numerical.wrap(OnlyChunks())
+    for image, batched in ((np.zeros((3, 4, 4)), False), (np.zeros((1, 3, 4, 4)), True)):
+        policy.reset()
+        q, start = HOME, numerical.forward(HOME)
+        for step in (1, 2):
+            state = q[None] if batched else q
+            q = policy.select_action({"observation.state": state, "observation.images.top": image})
+            np.testing.assert_allclose(numerical.forward(q)[0] - start[0], 0.005 * step, atol=1e-3)
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_torch_answers_with_gradients_and_batches_of_one_chunk(numerical, batched):
+    def vla(observation):
+        assert observation["observation.state"].shape == ((1, 7) if batched else (7,))
+        pose = torch.as_tensor(observation["observation.state"]).reshape(7)
+        chunk = pose + 0.003 * torch.arange(1, 17)[:, None] * torch.eye(7)[0]
+        return {"actions": torch.nn.Parameter(chunk[None].to(torch.bfloat16 if batched else torch.float64))}
+
+    policy = numerical.wrap(vla, actions_per_chunk=2)
+    q = torch.as_tensor(HOME[None] if batched else HOME)
+    command = policy.select_action({"observation.state": q})
+    assert command.shape == (6,)
+    moved = numerical.forward(command)[0] - numerical.forward(HOME)[0]
+    assert abs(moved - 0.003) < (0.004 if batched else 1e-3)  # bfloat16 has three digits
+
+
 @pytest.mark.parametrize("form", PoseFormat)
 def test_every_pose_format_leads_to_the_same_joints(numerical, form):
     from lerobot_mimicik.kinematics.poses import PolicyFrames
@@ -506,7 +544,13 @@ def test_every_pose_format_leads_to_the_same_joints(numerical, form):
 
 @pytest.mark.parametrize(
     ("answer", "message"),
-    [(np.zeros(5), "shape"), (np.zeros((0, 7)), "shape"), ({"poses": 1}, "expected 'actions'")],
+    [
+        (np.zeros(5), "shape"),
+        (np.zeros((0, 7)), "shape"),
+        (np.zeros((2, 16, 7)), r"\(2, 16, 7\).*rotation_6d"),
+        ({"poses": 1}, "expected 'actions'"),
+        ("ahead", "str, not with numbers"),
+    ],
 )
 def test_an_answer_that_is_no_pose_is_named(numerical, answer, message):
     with pytest.raises(ValueError, match=message):
@@ -522,6 +566,8 @@ def test_a_policy_that_answers_nan_holds_the_arm(numerical):
 def test_what_is_no_policy_is_named(numerical):
     with pytest.raises(TypeError, match="int is no end-effector policy"):
         numerical.wrap(3)
+    with pytest.raises(ValueError, match=r"one arm.*\(2, 6\)"):
+        numerical.wrap(ahead).select_action({"observation.state": np.tile(HOME, (2, 1))})
     with pytest.raises(KeyError, match=r"observation\.state"):
         numerical.wrap(ahead).select_action({"state": HOME})
 

@@ -2,6 +2,7 @@
 
 import json
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from robot_adapters.airbot.od_motor import OdMotor
 from robot_adapters.can.bus import BusError, open_bus
 from robot_adapters.deployment import approach, drive
 from robot_adapters.doctor import Doctor, DoctorOptions, Outcome
+from robot_adapters.plant_mode import refuse_another_arm
 from robot_adapters.simulation.cell import SimulatedCell
 from robot_adapters.simulation.faults import Fault, FaultKind
 
@@ -34,6 +36,21 @@ def circle() -> Trajectory:
     target[:, 1] += 0.04 * np.sin(phase)
     target[:, 2] += 0.04 * (1 - np.cos(phase))
     return Trajectory(0, np.repeat(HOME[None], 80, axis=0), target)
+
+
+def test_plant_mode_refuses_another_arms_motion_that_has_as_many_joints():
+    q, target = np.tile(HOME, (2, 1)), np.tile([0.3, 0, 0.3, 0, 0, 0, 1.0], (2, 1))
+    refuse_another_arm(Trajectory(0, q, target, ARM))
+    refuse_another_arm(Trajectory(0, q, target, replace(ARM, tool_offset=(0, 0, 0.1, 0.3, 0, 0))))
+    piper, hold = describe_arm("piper"), make_solver("hold", SerialArm(ARM))
+    assert piper.joint_names == ARM.joint_names
+    with pytest.raises(ValueError, match=r"trajectory 3.*move the tool elsewhere"):
+        make_rollouts("plant", hold, [Trajectory(3, q, target, piper)])
+    renamed = replace(ARM, joint_names=ARM.joint_names[::-1], home=())
+    with pytest.raises(ValueError, match="expected joint1, joint2"):
+        make_rollouts("plant", hold, [Trajectory(0, q, target, renamed)])
+    with pytest.raises(ValueError, match="with 5 joints: expected 6"):
+        make_rollouts("plant", hold, [Trajectory(0, q[:, :5], target)])
 
 
 def test_plant_mode_is_found_and_drives_the_simulated_arm(circle):

@@ -55,7 +55,7 @@ def test_same_place_as_lerobots_step(adapter, units, gripper):
 
 
 def test_missing_numbers_are_named(adapter):
-    step = MimicIKEEToJoints(adapter, [*ARM.joint_names, "gripper"])
+    step = MimicIKEEToJoints(adapter, [*ARM.joint_names, "gripper"], "rad")
     action = ee_action(adapter, HOME)
     del action["ee.wz"]
     transition = {TransitionKey.ACTION: action, TransitionKey.OBSERVATION: {}}
@@ -68,7 +68,37 @@ def test_missing_numbers_are_named(adapter):
     with pytest.raises(KeyError, match=r"joint2\.pos"):
         step(transition)
     with pytest.raises(ValueError, match="joint6"):
-        MimicIKEEToJoints(adapter, list(ARM.joint_names[:5]))
+        MimicIKEEToJoints(adapter, list(ARM.joint_names[:5]), "rad")
+
+
+def test_it_takes_the_keywords_of_lerobots_step(adapter):
+    names = list(ARM.joint_names)
+    step = MimicIKEEToJoints(
+        kinematics=adapter, motor_names=names, joint_units="deg", initial_guess_current_joints=False
+    )
+    assert step.adapter is adapter
+    assert adapter.settings.reference == "commanded"
+    with pytest.raises(TypeError, match=r"got str; MimicIKAdapter\.from_pretrained"):
+        MimicIKEEToJoints(kinematics="robot.urdf", motor_names=names, joint_units="deg")
+    with pytest.raises(TypeError, match="got none"):
+        MimicIKEEToJoints(motor_names=names, joint_units="deg")
+
+
+def test_units_have_no_default_and_wrong_ones_are_named(adapter):
+    with pytest.raises(ValueError, match="joint_units='': expected 'rad' or 'deg'"):
+        MimicIKEEToJoints(adapter, list(ARM.joint_names))
+    step = MimicIKEEToJoints(adapter, [*ARM.joint_names, "gripper"], "rad")
+    degrees = {f"{name}.pos": float(np.degrees(q)) for name, q in zip(ARM.joint_names, HOME, strict=True)}
+    radians = {f"{name}.pos": float(q) for name, q in zip(ARM.joint_names, HOME, strict=True)}
+    action = ee_action(adapter, HOME)
+    with pytest.raises(ValueError, match=r"degrees.*joint_units is 'rad'"):
+        step({TransitionKey.ACTION: dict(action), TransitionKey.OBSERVATION: degrees})
+    turned = action | {"ee.wx": 90.0}
+    with pytest.raises(ValueError, match="rotation vector in rad"):
+        step({TransitionKey.ACTION: turned, TransitionKey.OBSERVATION: radians})
+    step({TransitionKey.ACTION: action | {"ee.x": 300.0, "ee.z": 200.0}, TransitionKey.OBSERVATION: radians})
+    assert step.result.status is IKStatus.FAILED
+    assert "millimetres" in step.result.message
 
 
 def test_a_wrapped_checkpoint_takes_and_gives_joints(act_run, mimicik_run, tmp_path):
@@ -96,6 +126,24 @@ def test_a_wrapped_checkpoint_takes_and_gives_joints(act_run, mimicik_run, tmp_p
     post.reset()
     with pytest.raises(RuntimeError, match="no joints yet"):
         step({TransitionKey.ACTION: near})
+    # Two arms of one checkpoint: neither sees the other's joints, whoever is asked first.
+    arms = [(pre, post), make_pre_post_processors(config, pretrained_path=str(folder))]
+    starts = (HOME, HOME + 0.4)
+    for (before, after), start in zip(arms, starts, strict=True):
+        after.reset()
+        before({"observation.state": torch.as_tensor(start, dtype=torch.float32), "task": ""})
+    for (_, after), start in reversed(list(zip(arms, starts, strict=True))):
+        target = torch.as_tensor(adapter.forward(start), dtype=torch.float32)[None]
+        answer = after.steps[-1]({TransitionKey.ACTION: target})[TransitionKey.ACTION][0].numpy()
+        assert np.abs(answer - start).max() < 0.05
+    # The first query after loading finds the network traced.
+    fresh = make_pre_post_processors(config, pretrained_path=str(folder))[1].steps[-1]
+    assert fresh.adapter.solver.is_traced
+    with pytest.raises(ValueError, match="degrees"):
+        pre({"observation.state": torch.as_tensor(np.degrees(HOME), dtype=torch.float32), "task": ""})
+    fresh.relative_step = None
+    with pytest.raises(RuntimeError, match="make_pre_post_processors"):
+        fresh({TransitionKey.ACTION: near})
 
 
 def test_wrapping_refuses_what_does_not_fit(act_run, mimicik_run, tmp_path):

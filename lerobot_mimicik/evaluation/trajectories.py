@@ -22,6 +22,7 @@ from lerobot_mimicik.solvers.base import Array
 
 if TYPE_CHECKING:
     from lerobot_mimicik.configuration_learned import LearnedIKConfig
+    from lerobot_mimicik.kinematics.arms import ArmDescription
 
 _STATE, _ACTION = "observation.state", "action"
 _STRESS = (CLEAN_KEY, CLOSEST_KEY)
@@ -37,6 +38,7 @@ class Trajectory:
         target: ``T_base_tool`` commanded at each frame, (T, 7), x y z (m) qx qy qz qw.
         clean: The same without what a stress set added to it, (T, 7); None where the dataset does not say.
         closest: The pose nearest to the target that the arm can have, (T, 7); None where the dataset does not say.
+        arm: The arm that they are of; None where that is not known.
     """
 
     index: int
@@ -44,6 +46,7 @@ class Trajectory:
     target: Array
     clean: Array | None = None
     closest: Array | None = None
+    arm: ArmDescription | None = None
 
     def __post_init__(self) -> None:
         if self.q.ndim != 2 or self.target.shape != (len(self.q), 7) or not len(self.q):
@@ -58,7 +61,7 @@ class Trajectory:
     def first(self, frames: int) -> Trajectory:
         """Its first so many frames."""
         clean, closest = (None if poses is None else poses[:frames] for poses in (self.clean, self.closest))
-        return Trajectory(self.index, self.q[:frames], self.target[:frames], clean, closest)
+        return Trajectory(self.index, self.q[:frames], self.target[:frames], clean, closest, self.arm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +177,7 @@ def load_trajectories(
         rows = slice(rows.start, rows.stop - 1) if drop_last else rows
         if rows.stop > rows.start:
             more = [columns[key][rows].astype(np.float64) if key in columns else None for key in _STRESS]
-            trajectories.append(Trajectory(index, joints[rows], pose[rows], *more))
+            trajectories.append(Trajectory(index, joints[rows], pose[rows], *more, arm.description))
     if not trajectories:
         raise ValueError(f"{root} has no episode with a frame to evaluate.")
     return TrajectorySet(name or root.name, root, float(meta.fps), tuple(trajectories))

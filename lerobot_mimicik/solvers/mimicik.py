@@ -72,6 +72,11 @@ class MimicIKSolver(IKSolver):
             return None
         return relative.lower.double().cpu().numpy(), relative.upper.double().cpu().numpy()
 
+    @property
+    def is_traced(self) -> bool:
+        """Whether single queries are fast already: the first ones trace the network."""
+        return self._traced is not None
+
     def __getstate__(self) -> dict[str, Any]:
         """Without the traced network, which does not pickle; it is traced again when asked."""
         return self.__dict__ | {"_traced": None}

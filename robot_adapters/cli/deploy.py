@@ -7,7 +7,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -149,11 +149,10 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
 def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> Recording:
     """The motion to follow: recorded, or the generated near-singular set."""
     import tempfile
-    from dataclasses import replace
 
     from lerobot_mimicik.cli.options import numbers
     from lerobot_mimicik.evaluation.evaluate import study
-    from lerobot_mimicik.evaluation.trajectories import Layout, Trajectory, load_trajectories
+    from lerobot_mimicik.evaluation.trajectories import Layout, load_trajectories
 
     policy = adapter.solver.policy  # type: ignore[attr-defined]
     with tempfile.TemporaryDirectory() as folder:
@@ -163,7 +162,7 @@ def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> Recordin
         found = load_trajectories(root, arm, layout, episodes, root.name)
     if config.dataset.seconds:
         last = max(int(config.dataset.seconds * found.fps), 1)
-        cut = tuple(Trajectory(t.index, t.q[:last], t.target[:last]) for t in found.trajectories)
+        cut = tuple(t.first(last) for t in found.trajectories)
         found = replace(found, trajectories=cut)
     return study(arm, found)
 
