@@ -57,12 +57,42 @@ class Waiting(Single):
         return super().solve(q_curr, target_pose)
 
 
+class Busy(Single):
+    """Takes its time over recordings until somebody else has been served."""
+
+    somebody = threading.Event()
+
+    def solve(self, q_curr, target_pose):
+        self.somebody.wait(0.01)
+        return super().solve(q_curr, target_pose)
+
+
+class Noticing(Single):
+    """Somebody else: `Busy` goes on once this one is asked."""
+
+    def solve(self, q_curr, target_pose):
+        Busy.somebody.set()
+        return super().solve(q_curr, target_pose)
+
+
+class Undefined(Counting):
+    """Answers not a number, in the second row where there is one."""
+
+    def solve(self, q_curr, target_pose):
+        answer = q_curr.copy()
+        answer[-1] = np.nan
+        return answer
+
+
 FACTORIES = {
     "hold": partial(make_solver, "hold", airbot()),
     "counting": Counting,
     "single": Single,
     "failing": Failing,
     "waiting": Waiting,
+    "busy": Busy,
+    "noticing": Noticing,
+    "undefined": Undefined,
 }
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 import zmq
 from evaluation_cases import airbot, trajectory
-from serving_cases import HOME, POSE, Waiting, serving
+from serving_cases import HOME, POSE, Busy, Waiting, serving
 
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.evaluation.rollouts import make_rollouts
@@ -71,12 +71,20 @@ def test_a_rollout_takes_a_remote_solver_for_any_other(address):
         np.testing.assert_array_equal(a.q_cmd, b.q_cmd)
 
 
-def test_a_policy_behind_the_server_answers_as_it_does_here():
-    config = MimicIKConfig(device="cpu", d_model=16, n_layers=1, n_heads=2, d_ff=16)
+@pytest.fixture(scope="module")
+def policy():
+    """A small policy with random weights, that was trained on small steps."""
+    config = MimicIKConfig(device="cpu", d_model=16, n_layers=1, n_heads=2, d_ff=16, conditioning="relative")
     policy = MimicIKPolicy(config)
     torch.manual_seed(0)
     for parameter in policy.parameters():
         torch.nn.init.normal_(parameter, std=0.2)
+    policy.conditioning.relative.lower.fill_(-0.012)
+    policy.conditioning.relative.upper.fill_(0.012)
+    return policy
+
+
+def test_a_policy_behind_the_server_answers_as_it_does_here(policy):
     one = trajectory(8)
     here = make_solver("mimicik", airbot(), policy=policy)
     there = {"mimicik": partial(make_solver, "mimicik", airbot(), policy=policy)}
@@ -127,6 +135,7 @@ def test_rows_that_are_selected_keep_their_history(address):
         (np.full(6, np.nan), POSE, "not finite"),
         (HOME, np.full(7, -np.inf), "not finite"),
         (HOME, np.zeros(7), "quaternion"),
+        (HOME, np.array([0.3, 0, 0.3, 0, 0, 0, 5e-324]), "quaternion"),
         (np.zeros((0, 6)), np.zeros((0, 7)), "1 to 4096 rows"),
         (np.zeros((4097, 6)), np.ones((4097, 7)), "1 to 4096 rows"),
     ],
@@ -164,6 +173,76 @@ def test_a_solver_that_fails_is_its_clients_trouble_only(address):
         with pytest.raises(SolverFailedError, match="ZeroDivisionError: no way there"):
             client.solve(HOME, POSE)
         np.testing.assert_allclose(other.solve(HOME, POSE), HOME + 1)
+
+
+def test_a_long_question_does_not_hold_up_a_short_one(address):
+    """The short one is answered first although it is asked last, behind several long ones."""
+    Busy.somebody.clear()
+    q, target = np.tile(HOME, (1000, 1)), np.tile(POSE, (1000, 1))
+    with connect(address, "noticing") as modest, zmq.Context.instance().socket(zmq.DEALER) as greedy:
+        greedy.linger, greedy.rcvtimeo = 0, 20_000
+        greedy.connect(address)
+        greedy.send(protocol.pack_request(1, "reset", b"", ["busy", protocol.encode_array(HOME)]))
+        _, session = protocol.unpack_reply(greedy.recv())
+        for number in range(2, 7):
+            recording = [protocol.encode_array(q), protocol.encode_array(target)]
+            greedy.send(protocol.pack_request(number, "solve_recorded", session, recording))
+        np.testing.assert_allclose(modest.solve(HOME, POSE), HOME + 1)
+        assert not greedy.poll(0)
+        for number in range(2, 7):
+            found, value = protocol.unpack_reply(greedy.recv())
+            assert found == number
+            answer = protocol.decode_array(value, "answer")
+            np.testing.assert_allclose(answer, q + np.arange(1, 1001)[:, None])
+
+
+def test_who_sends_without_waiting_is_refused_and_others_are_served():
+    Waiting.gate.clear()
+    try:
+        with (
+            serving(limits=Limits(max_waiting=3)) as server,
+            zmq.Context.instance().socket(zmq.DEALER) as greedy,
+        ):
+            greedy.linger, greedy.rcvtimeo = 0, 20_000
+            greedy.connect(server.address)
+            greedy.send(protocol.pack_request(1, "reset", b"", ["waiting", protocol.encode_array(HOME)]))
+            _, session = protocol.unpack_reply(greedy.recv())
+            question = [protocol.encode_array(HOME), protocol.encode_array(POSE)]
+            for number in range(2, 22):
+                greedy.send(protocol.pack_request(number, "solve", session, question))
+            Waiting.gate.set()
+            replies = [protocol.unpack_reply(greedy.recv())[1] for _ in range(20)]
+            refused = [reply for reply in replies if isinstance(reply, RateExceededError)]
+            assert len(refused) <= 17
+            assert all("3 requests are waiting" in str(reply) for reply in refused)
+            with connect(server.address) as other:
+                np.testing.assert_allclose(other.solve(HOME, POSE), HOME + 1)
+    finally:
+        Waiting.gate.set()
+
+
+def test_an_answer_that_is_not_finite_is_an_error(address):
+    with connect(address, "undefined") as client:
+        for rows in ((), (3,)):
+            q, pose = np.broadcast_to(HOME, (*rows, 6)), np.broadcast_to(POSE, (*rows, 7))
+            client.reset(q)
+            with pytest.raises(SolverFailedError, match="not finite"):
+                client.solve(q, pose)
+
+
+def test_what_a_server_answers_in_pieces_is_what_is_answered_at_once(policy):
+    q = HOME + 0.01 * np.arange(300)[:, None] * np.ones(6)
+    target = np.tile(POSE, (300, 1))
+    here = make_solver("mimicik", airbot(), policy=policy)
+    there = {"mimicik": partial(make_solver, "mimicik", airbot(), policy=policy)}
+    with serving(factories=there) as server, connect(server.address, "mimicik") as remote:
+        for solver in (here, remote):
+            solver.reset(q)
+        for _ in range(2):
+            np.testing.assert_allclose(remote.solve(q, target), here.solve(q, target), atol=1e-6)
+        np.testing.assert_allclose(
+            remote.solve_recorded(q, target), here.solve_recorded(q, target), atol=1e-6
+        )
 
 
 def test_the_session_idle_for_longest_is_dropped_and_reset_opens_another():

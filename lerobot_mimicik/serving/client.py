@@ -81,7 +81,12 @@ class IKClient(IKSolver):
             self.joint_names = tuple(str(joint) for joint in info["joint_names"])
             solvers = dict(info["solvers"])
             max_bytes = int(info["max_bytes"])
-        except (TypeError, KeyError, ValueError) as error:
+            # A server from before they travelled has none.
+            step_range = info.get("step_ranges", {}).get(self.solver)
+            bounds = None if step_range is None else np.array(step_range, dtype=float)
+            if bounds is not None and (bounds.shape != (2, 6) or not np.isfinite(bounds).all()):
+                raise ValueError(f"step range {step_range}")
+        except (AttributeError, TypeError, KeyError, ValueError) as error:
             raise ServingError(f"{self.address} answers, but says nothing about its solvers.") from error
         if self.solver not in solvers:
             raise ValueError(f"{self.address} has no solver {self.solver!r}; it has {', '.join(solvers)}.")
@@ -92,6 +97,12 @@ class IKClient(IKSolver):
             )
         self.batched = bool(solvers[self.solver])
         self._max_bytes = max_bytes
+        self._step_range = None if bounds is None else (bounds[0], bounds[1])
+
+    @property
+    def step_range(self) -> tuple[Array, Array] | None:
+        """That of the server's solver."""
+        return self._step_range
 
     @property
     def timeout_s(self) -> float:
@@ -109,7 +120,10 @@ class IKClient(IKSolver):
 
     def reset(self, q: Array) -> None:
         """Forget all history on the server; (dof,) or (B, dof). Opens a session if there is none (any more)."""
-        self.session = self._ask("reset", self.solver, _floats(q))
+        known, self.session = self.session, self._ask("reset", self.solver, _floats(q))
+        if known and known != self.session:
+            # Perhaps another server than at first: it may have another solver of that name.
+            self._read_info(self.joint_names)
 
     def solve(self, q_curr: Array, target_pose: Array) -> Array:
         """The server's command; (dof,) and (7,), or where ``batched`` (B, dof) and (B, 7)."""

@@ -16,6 +16,7 @@ class Limits:
         max_sessions: Most sessions of all clients together.
         rate: Requests a second that one client may send in the long run; 0 sets no limit.
         burst: Requests that it may send at once after a pause.
+        max_waiting: Requests of one client that may wait for their turn.
     """
 
     max_bytes: int = 1 << 20
@@ -23,6 +24,7 @@ class Limits:
     max_sessions: int = 64
     rate: float = 20_000.0
     burst: float = 20_000.0
+    max_waiting: int = 16
 
     def __post_init__(self) -> None:
         for entry in fields(self):

@@ -7,7 +7,8 @@ The id is the client's and comes back unread, also where the body is refused. A 
 ``reset`` answered with, or empty. An array is ``[dtype, shape, bytes]``, row-major and little-endian. A method
 with its arguments and value:
 
-    info                              {"joint_names", "solvers": {name: batched}, "max_bytes", "max_rows"}
+    info                              {"joint_names", "solvers": {name: batched}, "max_bytes", "max_rows",
+                                       "step_ranges": {name: [lower, upper], six numbers each, or None}}
     reset           solver, q         the session: the given one, or a new one where the server has it not
     solve           q, target         commands, shaped as q
     solve_recorded  q, target         commands, (T, dof)

@@ -1,11 +1,16 @@
-"""The IK server: one ROUTER socket, one thread, a solver for every session."""
+"""The IK server: one ROUTER socket, one thread, a solver for every session.
+
+Requests wait in a queue for each client. The clients take turns; a turn is one piece of an answer: a whole one, or
+`_PIECE` rows of a long one. So nobody waits longer for a short answer than one piece of every other client's takes.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections import OrderedDict, deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -20,6 +25,7 @@ from lerobot_mimicik.serving.protocol import (
     RateExceededError,
     ServingError,
     SolverFailedError,
+    UnknownSessionError,
 )
 from lerobot_mimicik.serving.security import ZAP_DOMAIN, ServerKeys, check_allowed, is_local, secure_server
 from lerobot_mimicik.serving.sessions import Session, SessionTable
@@ -32,10 +38,20 @@ _STOP_MS = 100
 # Requests that ZeroMQ keeps for one client before its connection is told to wait.
 _QUEUE = 256
 _HEARTBEAT_MS = 10_000
+# Rows of a batch that are answered before it is the next client's turn: 10 to 20 ms of a policy on one core.
+_PIECE = 128
+# Messages read between two turns, so that who sends without end keeps nobody from being answered.
+_INTAKE = 64
+# Quaternions shorter than this are no rotation.
+_SHORTEST = 1e-6
+
+_Job = Generator[None, None, bytes]
 
 
 class IKServer:
     """Answers requests of the protocol until it is stopped.
+
+    Clients take turns, so that long questions of one do not hold up the short ones of others.
 
     Bound to anything but loopback or ipc it demands keys. A request that cannot be answered is answered
     with an error, and the server goes on. ``serve`` runs in one thread, any one; ``stop`` may be called from
@@ -87,7 +103,13 @@ class IKServer:
             "solvers": self._sessions.batched,
             "max_bytes": self.limits.max_bytes,
             "max_rows": self.limits.max_rows,
+            "step_ranges": {
+                name: None if found is None else [bound.tolist() for bound in found]
+                for name, found in self._sessions.step_ranges.items()
+            },
         }
+        # Jobs of each client, with the address that the reply goes to; the client whose turn is next comes first.
+        self._waiting: OrderedDict[bytes | str, deque[tuple[bytes, _Job]]] = OrderedDict()
         self._methods: dict[str, tuple[int, Callable[..., Any]]] = {
             "info": (0, lambda session: self._info),
             "reset": (2, self._reset),
@@ -131,15 +153,44 @@ class IKServer:
     def serve(self) -> None:
         """Answer until ``stop`` is called, from wherever; returns at once if it was called before."""
         while not self._stopping.is_set():
+            self._take_in()
+            self._take_turn()
+
+    def _take_in(self) -> None:
+        """Put the messages that have arrived into their clients' queues; wait for one where nothing is to do."""
+        for _ in range(_INTAKE):
             try:
-                client, frames = self._receive()
+                client, frames = self._receive(zmq.NOBLOCK if self._waiting else 0)
             except zmq.Again:
+                return
+            queue = self._waiting.setdefault(client, deque())
+            if len(queue) < self.limits.max_waiting:
+                queue.append((frames[0], self._reply(client, frames)))
                 continue
+            self.refused += 1
+            error = RateExceededError(
+                f"More than {self.limits.max_waiting} requests are waiting; wait for answers before asking more."
+            )
+            self._socket.send_multipart([frames[0], protocol.pack_error(_number(frames), error)])
+
+    def _take_turn(self) -> None:
+        """One piece of work for the client whose turn it is."""
+        if not self._waiting:
+            return
+        client, queue = next(iter(self._waiting.items()))
+        address, job = queue[0]
+        try:
+            next(job)
+        except StopIteration as finished:
+            queue.popleft()
             # Without a free place in the client's queue the reply is lost, as is a client that reads none.
-            self._socket.send_multipart([frames[0], self._reply(client, frames)])
+            self._socket.send_multipart([address, finished.value])
+        self._waiting.move_to_end(client)
+        if not queue:
+            del self._waiting[client]
 
     def stop(self) -> None:
-        """Make ``serve`` return within a tenth of a second, or after the question that it is at."""
+        """Make ``serve`` return within a tenth of a second, or after the piece of work that it is at."""
         self._stopping.set()
 
     def close(self) -> None:
@@ -159,19 +210,18 @@ class IKServer:
     ) -> None:
         self.close()
 
-    def _receive(self) -> tuple[bytes | str, list[bytes]]:
+    def _receive(self, flags: int) -> tuple[bytes | str, list[bytes]]:
         """Who sent the next message, and its frames; the first is where the reply goes."""
         if not self._keyed:
-            frames = self._socket.recv_multipart()
+            frames = self._socket.recv_multipart(flags)
             return frames[0], frames
-        keyed_frames = self._socket.recv_multipart(copy=False)
+        keyed_frames = self._socket.recv_multipart(flags, copy=False)
         # The authenticator calls a client by its public key.
         return str(keyed_frames[-1].get("User-Id")), [frame.bytes for frame in keyed_frames]
 
-    def _reply(self, client: bytes | str, frames: list[bytes]) -> bytes:
-        """What to send for one message, whatever it is."""
-        message = frames[-1]
-        number = message[: protocol.ID_BYTES].ljust(protocol.ID_BYTES, b"\0")
+    def _reply(self, client: bytes | str, frames: list[bytes]) -> _Job:
+        """What to send for one message, whatever it is, with a pause after every piece of work."""
+        message, number = frames[-1], _number(frames)
         try:
             if not self._rates.allows(client, time.monotonic()):
                 raise RateExceededError(f"More than {self.limits.rate:g} requests a second; ask more slowly.")
@@ -182,7 +232,10 @@ class IKServer:
                     f"The request has {len(message)} bytes, the server takes {self.limits.max_bytes}."
                 )
             method, session, arguments = protocol.unpack_request(message)
-            reply = protocol.pack_reply(number, self._answer(method, session, arguments))
+            value = self._answer(method, session, arguments)
+            if isinstance(value, Generator):
+                value = yield from value
+            reply = protocol.pack_reply(number, value)
         except ServingError as error:
             self.refused += 1
             return protocol.pack_error(number, error)
@@ -206,21 +259,44 @@ class IKServer:
         self._ask(session, "reset", start)
         return session.token
 
-    def _solve(self, token: bytes, q: Any, target: Any) -> list[Any]:
+    def _solve(self, token: bytes, q: Any, target: Any) -> Generator[None, None, list[Any]]:
         session = self._sessions.get(token)
         q_curr, pose = self._question(q, target)
         if q_curr.ndim == 2 and not session.solver.batched:
             raise BadRequestError(
                 f"{session.solver_name} takes single configurations, got {len(q_curr)} rows."
             )
-        return protocol.encode_array(self._ask(session, "solve", q_curr, pose))
+        return self._commands(session, "solve_in_pieces", q_curr, pose)
 
-    def _solve_recorded(self, token: bytes, q: Any, target: Any) -> list[Any]:
+    def _solve_recorded(self, token: bytes, q: Any, target: Any) -> Generator[None, None, list[Any]]:
         session = self._sessions.get(token)
         q_curr, pose = self._question(q, target)
         if q_curr.ndim != 2:
             raise BadRequestError(f"A recording is (T, {self._dof}) joints, got one configuration.")
-        return protocol.encode_array(self._ask(session, "solve_recorded", q_curr, pose))
+        return self._commands(session, "recorded_in_pieces", q_curr, pose)
+
+    def _commands(
+        self, session: Session, method: str, q: Array, target: Array
+    ) -> Generator[None, None, list[Any]]:
+        """The solver's commands as they travel, with a pause between the pieces."""
+        pieces = self._ask(session, method, q, target, _PIECE)
+        commands = np.zeros((0, q.shape[-1]))
+        while len(commands) < len(np.atleast_2d(q)):
+            if len(commands):
+                yield
+                if not self._sessions.holds(session):
+                    raise UnknownSessionError("The session was closed while its question was being answered.")
+            piece = self._guarded(session, method, _floats, pieces)
+            if piece.shape[1:] != commands.shape[1:] or not len(piece):
+                raise SolverFailedError(
+                    f"{session.solver_name} answered with shape {piece.shape}, expected {commands.shape[1:]} each."
+                )
+            commands = np.concatenate([commands, piece])
+        if commands.shape != np.atleast_2d(q).shape or not np.isfinite(commands).all():
+            raise SolverFailedError(
+                f"{session.solver_name} answered numbers that are not finite, or too many of them."
+            )
+        return protocol.encode_array(commands.reshape(q.shape))
 
     def _select(self, token: bytes, rows: Any) -> None:
         session = self._sessions.get(token)
@@ -232,8 +308,11 @@ class IKServer:
         self._ask(session, "select", chosen.astype(np.intp))
 
     def _ask(self, session: Session, method: str, *arguments: Any) -> Any:
+        return self._guarded(session, method, getattr(session.solver, method), *arguments)
+
+    def _guarded(self, session: Session, method: str, function: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            return getattr(session.solver, method)(*arguments)
+            return function(*arguments)
         # A solver may raise anything; it is one client's trouble, not the server's.
         except Exception as error:
             _log.warning("%s.%s failed", session.solver_name, method, exc_info=True)
@@ -255,8 +334,8 @@ class IKServer:
             raise BadRequestError(
                 f"q has shape {q_curr.shape}, target has {pose.shape}: expected as many rows."
             )
-        if not (pose[3:].any() if pose.ndim == 1 else pose[:, 3:].any(axis=1).all()):
-            raise BadRequestError("target: a quaternion is zero, which is no rotation.")
+        if (np.abs(pose[..., 3:]).max(axis=-1) < _SHORTEST).any():
+            raise BadRequestError(f"target: a quaternion is shorter than {_SHORTEST}, which is no rotation.")
         return q_curr, pose
 
     def _numbers(self, item: Any, name: str, width: int) -> Array:
@@ -270,3 +349,16 @@ class IKServer:
         if not np.isfinite(array).all():
             raise BadRequestError(f"{name}: holds numbers that are not finite.")
         return array
+
+
+def _number(frames: list[bytes]) -> bytes:
+    """The id of a request, also of one that is none."""
+    return frames[-1][: protocol.ID_BYTES].ljust(protocol.ID_BYTES, b"\0")
+
+
+def _floats(pieces: Iterator[Array]) -> Array:
+    """The next piece, (n, dof); RuntimeError where there is none."""
+    piece = next(pieces, None)
+    if piece is None:
+        raise RuntimeError("answered fewer rows than it was asked for")
+    return np.atleast_2d(np.asarray(piece, dtype=float))

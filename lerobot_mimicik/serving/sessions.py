@@ -30,6 +30,7 @@ class SessionTable:
         # Solvers without a session. Every session begins with a reset, after which a used one is as new.
         self._spare = {name: [factory()] for name, factory in self._factories.items()}
         self.batched = {name: solvers[0].batched for name, solvers in self._spare.items()}
+        self.step_ranges = {name: solvers[0].step_range for name, solvers in self._spare.items()}
         self._sessions: OrderedDict[bytes, Session] = OrderedDict()
 
     def __len__(self) -> int:
@@ -58,6 +59,10 @@ class SessionTable:
         session = Session(secrets.token_bytes(16), solver_name, solver)
         self._sessions[session.token] = session
         return session
+
+    def holds(self, session: Session) -> bool:
+        """Whether a session is still open: else its solver may be another session's by now."""
+        return self._sessions.get(session.token) is session
 
     def get(self, token: bytes) -> Session:
         """The session ``token``, which then is the one used last.

@@ -9,7 +9,7 @@ x y z (m) qx qy qz qw.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -72,15 +72,30 @@ class IKSolver(ABC):
             target_pose: Recorded targets, (T, 7).
 
         Returns:
-            (T, dof) commands in rad. A solver that can answer all frames at once overrides this loop.
+            (T, dof) commands in rad. A solver that can answer many frames at once overrides
+            ``recorded_in_pieces``.
         """
-        first = q_curr[:1] if self.batched else q_curr[0]
-        self.reset(first)
-        answers = np.empty_like(q_curr)
+        return np.concatenate(list(self.recorded_in_pieces(q_curr, target_pose, len(q_curr))))
+
+    def solve_in_pieces(self, q_curr: Array, target_pose: Array, rows: int) -> Iterator[Array]:
+        """What ``solve`` answers, computed piece by piece, so that others can be served in between.
+
+        Args:
+            q_curr: As in ``solve``.
+            target_pose: As in ``solve``.
+            rows: Most rows of a batch in one piece. A solver whose batches are answered quickly need not care.
+
+        Yields:
+            The rows in their order, (n, dof); (dof,) where ``q_curr`` has one axis.
+        """
+        yield self.solve(q_curr, target_pose)
+
+    def recorded_in_pieces(self, q_curr: Array, target_pose: Array, rows: int) -> Iterator[Array]:
+        """What ``solve_recorded`` answers, in pieces of (n, dof) with n at most ``rows``."""
+        self.reset(q_curr[:1] if self.batched else q_curr[0])
         for t in range(len(q_curr)):
             row = slice(t, t + 1) if self.batched else t
-            answers[row] = self.solve(q_curr[row], target_pose[row])
-        return answers
+            yield np.reshape(self.solve(q_curr[row], target_pose[row]), (1, -1))
 
 
 class OfflineSolver(IKSolver):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,19 +96,24 @@ class MimicIKSolver(IKSolver):
         """The policy's command; (B, dof) and (B, 7), or (dof,) and (7,)."""
         if q_curr.ndim == 1:
             return self.solve(q_curr[None], target_pose[None])[0]
-        self._q = _push(self._q, q_curr, self.steps)
-        self._target = _push(self._target, target_pose, self.steps)
-        return self._ask(self._q, self._target)
+        return np.concatenate(list(self.solve_in_pieces(q_curr, target_pose, len(q_curr))))
 
-    def solve_recorded(self, q_curr: Array, target_pose: Array) -> Array:
-        """All frames of one recording, in as few forward passes as ``chunk`` allows."""
-        ages = np.arange(self.steps)[::-1]
+    def solve_in_pieces(self, q_curr: Array, target_pose: Array, rows: int) -> Iterator[Array]:
+        """The policy's commands, a forward pass for every ``rows`` rows."""
+        if q_curr.ndim == 1:
+            yield self.solve(q_curr, target_pose)
+            return
+        self._q = q = _push(self._q, q_curr, self.steps)
+        self._target = target = _push(self._target, target_pose, self.steps)
+        for start in range(0, len(q), rows):
+            yield self._ask(q[start : start + rows], target[start : start + rows])
+
+    def recorded_in_pieces(self, q_curr: Array, target_pose: Array, rows: int) -> Iterator[Array]:
+        """All frames of one recording, in forward passes of at most ``chunk`` and ``rows`` frames."""
+        ages, most = np.arange(self.steps)[::-1], min(rows, self.chunk)
         frames = np.maximum(np.arange(len(q_curr))[:, None] - ages, 0)
-        answers = [
-            self._ask(q_curr[window], target_pose[window])
-            for window in np.split(frames, range(self.chunk, len(frames), self.chunk))
-        ]
-        return np.concatenate(answers)
+        for window in np.split(frames, range(most, len(frames), most)):
+            yield self._ask(q_curr[window], target_pose[window])
 
     def _ask(self, q: Array, target: Array) -> Array:
         """(B, T_o, dof) and (B, T_o, 7) -> (B, dof)."""
