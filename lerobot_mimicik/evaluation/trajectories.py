@@ -176,8 +176,8 @@ def load_trajectories(
         # The last frame of an episode has no next state to aim at.
         rows = slice(rows.start, rows.stop - 1) if drop_last else rows
         if rows.stop > rows.start:
-            more = [columns[key][rows].astype(np.float64) if key in columns else None for key in _STRESS]
-            trajectories.append(Trajectory(index, joints[rows], pose[rows], *more, arm.description))
+            clean, closest = (columns[k][rows].astype(np.float64) if k in columns else None for k in _STRESS)
+            trajectories.append(Trajectory(index, joints[rows], pose[rows], clean, closest, arm.description))
     if not trajectories:
         raise ValueError(f"{root} has no episode with a frame to evaluate.")
     return TrajectorySet(name or root.name, root, float(meta.fps), tuple(trajectories))
