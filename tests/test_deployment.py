@@ -40,15 +40,15 @@ def circle() -> Trajectory:
 
 def test_plant_mode_refuses_another_arms_motion_that_has_as_many_joints():
     q, target = np.tile(HOME, (2, 1)), np.tile([0.3, 0, 0.3, 0, 0, 0, 1.0], (2, 1))
-    refuse_another_arm(Trajectory(0, q, target, ARM))
-    refuse_another_arm(Trajectory(0, q, target, replace(ARM, tool_offset=(0, 0, 0.1, 0.3, 0, 0))))
+    refuse_another_arm(Trajectory(0, q, target, arm=ARM))
+    refuse_another_arm(Trajectory(0, q, target, arm=replace(ARM, tool_offset=(0, 0, 0.1, 0.3, 0, 0))))
     piper, hold = describe_arm("piper"), make_solver("hold", SerialArm(ARM))
     assert piper.joint_names == ARM.joint_names
     with pytest.raises(ValueError, match=r"trajectory 3.*move the tool elsewhere"):
-        make_rollouts("plant", hold, [Trajectory(3, q, target, piper)])
+        make_rollouts("plant", hold, [Trajectory(3, q, target, arm=piper)])
     renamed = replace(ARM, joint_names=ARM.joint_names[::-1], home=())
     with pytest.raises(ValueError, match="expected joint1, joint2"):
-        make_rollouts("plant", hold, [Trajectory(0, q, target, renamed)])
+        make_rollouts("plant", hold, [Trajectory(0, q, target, arm=renamed)])
     with pytest.raises(ValueError, match="with 5 joints: expected 6"):
         make_rollouts("plant", hold, [Trajectory(0, q[:, :5], target)])
 
