@@ -107,6 +107,89 @@ def test_logs_that_cannot_be_read_are_named(tmp_path, change, columns, message):
     assert not (tmp_path / "set").exists()
 
 
+def _faulty(log):
+    """Ten rows of NaN (0.055 s at 200 Hz, more than a frame), a glitch far outside, and two degrees outside."""
+    log.loc[100:109, "q3"] = np.nan
+    log.loc[300, "q2"] = 40.0
+    log.loc[400:409, "q3"] = ARM.joints()[2].upper + 0.035
+
+
+def test_what_was_mended_is_said(tmp_path):
+    log = logged(4.0)
+    _faulty(log)
+    log.to_parquet(tmp_path / "log.parquet")
+    summary = write_joint_logs(tmp_path / "log.parquet", tmp_path / "set", ARM)
+    said = str(summary)
+    for line in (
+        "10 rows without a finite number",
+        "1 rows with a joint far outside its limits",
+        "filled by interpolation: 0.06 s",
+        "2 jumps of a joint",  # to the limit and back
+        "joint3: 10 readings outside its limits, by 0.035 rad",
+    ):
+        assert line in said
+    upper = np.array([joint.upper for joint in ARM.joints()])
+    assert all((trajectory.q <= upper + 1e-6).all() for trajectory in read(tmp_path / "set"))
+    assert json.loads((tmp_path / "set/meta/joint_log.json").read_text())["mended"]["glitches"] == 1
+
+
+def test_servos_a_little_outside_their_limits_are_clipped_and_kept(tmp_path):
+    log = logged(2.0)
+    log["q1"] = ARM.joints()[0].lower - np.radians(4)
+    log.to_parquet(tmp_path / "log.parquet")
+    summary = write_joint_logs(tmp_path / "log.parquet", tmp_path / "set", ARM)
+    assert "joint1: 400 readings outside its limits, by 0.070 rad" in str(summary)
+    (trajectory,) = read(tmp_path / "set")
+    np.testing.assert_allclose(trajectory.q[:, 0], ARM.joints()[0].lower, atol=1e-6)
+
+
+def test_a_jump_within_a_frame_cuts_the_recording(tmp_path):
+    log = logged(4.0)
+    log.loc[400:, "q1"] -= 2.0
+    log.to_parquet(tmp_path / "log.parquet")
+    summary = write_joint_logs(tmp_path / "log.parquet", tmp_path / "set", ARM)
+    assert summary.episodes == 2
+    assert "1 jumps of a joint" in str(summary)
+    assert all(np.abs(np.diff(trajectory.q, axis=0)).max() < 0.1 for trajectory in read(tmp_path / "set"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda log, q: np.degrees(log[q]), r"these are degrees.*--columns\.joint_units"),
+        (lambda log, q: log[q] + [0, 0, 5, 0, 0, 0], r"joint3 is .* far outside its limits.*--robot"),
+    ],
+)
+def test_joints_in_another_unit_or_of_another_arm_are_refused(tmp_path, change, message):
+    log = logged()
+    joints = [f"q{i}" for i in range(1, 7)]
+    log[joints] = change(log, joints)
+    log.to_parquet(tmp_path / "log.parquet")
+    with pytest.raises(ValueError, match=message):
+        write_joint_logs(tmp_path / "log.parquet", tmp_path / "set", ARM)
+    assert not (tmp_path / "set").exists()
+
+
+def test_radians_taken_for_degrees_are_asked_about(tmp_path):
+    logged().to_parquet(tmp_path / "log.parquet")
+    summary = write_joint_logs(tmp_path / "log.parquet", tmp_path / "set", ARM, LogColumns(units="deg"))
+    assert "are the readings in rad?" in str(summary)
+
+
+@pytest.mark.parametrize("name", ["empty.csv", "binary.csv", "broken.parquet", "words.csv"])
+def test_files_that_cannot_be_read_are_named(tmp_path, name):
+    (tmp_path / "logs").mkdir()
+    path = tmp_path / "logs" / name
+    content = {"empty.csv": b"", "binary.csv": bytes(range(128, 256)) * 9, "broken.parquet": b"PAR1 no"}
+    path.write_bytes(content.get(name, b""))
+    if name == "words.csv":
+        logged().astype({"q2": object}).assign(q2="fast").to_csv(path, index=False)
+    with pytest.raises(ValueError, match=name) as refused:
+        write_joint_logs(tmp_path / "logs", tmp_path / "set", ARM)
+    if name == "words.csv":
+        assert "column 'q2' holds 'fast' in row 0" in str(refused.value)
+
+
 def test_reports_do_not_call_recorded_joints_synthetic(tmp_path, capsys):
     (tmp_path / "logs").mkdir()
     logged().to_parquet(tmp_path / "logs" / "log.parquet")

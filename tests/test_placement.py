@@ -7,10 +7,10 @@ import pytest
 from hand_recordings import hand_motion
 from scipy.spatial.transform import Rotation
 
+from lerobot_mimicik.data.home import find_home
 from lerobot_mimicik.data.retargeting.placement import (
     Motion,
     PlacementOptions,
-    find_home,
     find_workspace,
     propose,
 )

@@ -129,6 +129,7 @@ def test_nothing_usable_is_an_error_that_says_why(tmp_path):
     hand_table(2, seconds=0.2).to_parquet(tmp_path / "short.parquet")
     with pytest.raises(ValueError, match=r"none of the 2 recordings .*too short"):
         retarget_dataset(tmp_path / "short.parquet", tmp_path / "set", ARM, job=JobOptions(**QUIET))
+    assert [path.name for path in tmp_path.iterdir()] == ["short.parquet"]
 
 
 def test_an_arm_with_lag_follows_its_command():

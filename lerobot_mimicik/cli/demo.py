@@ -22,7 +22,7 @@ from pathlib import Path
 import draccus
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.cli.options import bare_switches
+from lerobot_mimicik.cli.options import bare_switches, decimals
 from lerobot_mimicik.evaluation import training_process
 
 HELP = "Go the whole way: make a dataset, train a policy on it, measure it, write a report with figures."
@@ -43,6 +43,9 @@ class DemoConfig:
     input: str = ""
     # A shipped arm (airbot_play, piper) or the path of a URDF.
     robot: str = "airbot_play"
+    # Comfortable configuration to begin from, in the joints' order [rad, m], comma-separated; empty: the arm's own,
+    # else one that is found.
+    home: str = ""
     # Folder for everything that is made.
     output: str = "outputs/demo"
     # Episodes of the dataset. source=ee: recordings used, 0 for all.
@@ -146,6 +149,7 @@ def make_data(config: DemoConfig, folder: Path) -> DemoData:
         ValueError: If an option does not fit.
         OSError: If the input does not exist.
     """
+    from lerobot_mimicik.data.home import with_home
     from lerobot_mimicik.data.teleoperation.session import SyntheticConfig
     from lerobot_mimicik.data.teleoperation.synthetic import make_synthetic
     from lerobot_mimicik.kinematics.arms import describe_arm
@@ -155,7 +159,7 @@ def make_data(config: DemoConfig, folder: Path) -> DemoData:
     note = folder / "summary.txt"
     if note.is_file() and all(_is_dataset(root) for root in (train, test, ood)):
         return DemoData(train, test, ood, note.read_text())
-    description = describe_arm(config.robot)
+    description = with_home(describe_arm(config.robot), decimals(config.home, "--home"))
     if config.source == "synthetic":
         made = make_synthetic(
             folder,
@@ -177,7 +181,7 @@ def make_data(config: DemoConfig, folder: Path) -> DemoData:
                 source="ee",
                 input=config.input,
                 output=str(folder),
-                robot=RobotOptions(name=config.robot),
+                robot=RobotOptions(name=config.robot, home=",".join(map(str, description.home))),
                 episodes=config.episodes,
                 test_share=config.test_share,
                 seed=config.seed,

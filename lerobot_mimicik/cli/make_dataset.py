@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import draccus
 
-from lerobot_mimicik.cli.options import bare_switches, words
+from lerobot_mimicik.cli.options import bare_switches, decimals, words
 from lerobot_mimicik.data.retargeting.cleaning import CleaningOptions
 from lerobot_mimicik.data.retargeting.placement import PlacementOptions
 from lerobot_mimicik.data.retargeting.recordings import SourceColumns
@@ -45,6 +45,9 @@ class RobotOptions:
     # Tool frame in the tip link: x,y,z in m, or x,y,z,roll,pitch,yaw in m and rad. AIRBOT gripper:
     # 0.1594,0,0.
     tool_offset: str = ""
+    # Comfortable configuration to begin from, in the joints' order [rad, m], comma-separated; empty: the arm's own,
+    # else one that is found.
+    home: str = ""
 
 
 @dataclass
@@ -57,13 +60,15 @@ class ColumnOptions:
     time_unit: str = ""
     # Frame rate of an input without stamps [Hz].
     fps: float = 0.0
-    # Three columns, or one of 3-vectors [m]; of a LeRobot dataset: the feature with the poses.
+    # Three columns, or one of 3-vectors; of a LeRobot dataset: the feature with the poses.
     position: str = ""
+    # Unit of the positions: m, cm, mm.
+    position_unit: str = "m"
     # source=joints: columns of the measured joints, in the arm's order.
     joints: str = ""
     # source=joints: columns of the commanded ones; empty: each frame aims at the next measured joints.
     commands: str = ""
-    # source=joints: rad or deg.
+    # source=joints: rad or deg; joints that slide are in m.
     joint_units: str = "rad"
     # Four columns (quaternion) or three (rotation vector), or one of such vectors.
     rotation: str = ""
@@ -213,8 +218,15 @@ def run(
         robot.base_link or None,
         robot.tip_link or None,
         words(robot.joint_names) or None,
-        _numbers(robot.tool_offset, "--robot.tool_offset") or None,
+        decimals(robot.tool_offset, "--robot.tool_offset") or None,
     )
+    home = decimals(robot.home, "--robot.home")
+    if home or (config.source == "synthetic" and not description.home):
+        from lerobot_mimicik.data.home import with_home
+
+        description = with_home(description, home)
+    if config.source == "synthetic" and not home:
+        print(f"home of {robot.name}: {','.join(map(str, description.home))} (--robot.home sets another)")
     if config.source == "synthetic":
         if config.input or config.resume:
             raise ValueError("--input and --resume belong to --source=ee")
@@ -336,8 +348,8 @@ def _retarget_options(config: MakeDatasetConfig) -> RetargetOptions:
             bandwidth=fit.smoothing,
         ),
         placement=PlacementOptions(
-            workspace=_numbers(fit.workspace, "--fit.workspace"),
-            centre=_numbers(fit.centre, "--fit.centre"),
+            workspace=decimals(fit.workspace, "--fit.workspace"),
+            centre=decimals(fit.centre, "--fit.centre"),
             max_scale=fit.max_scale,
             max_rotation=fit.max_rotation,
             max_tilt=fit.max_tilt,
@@ -357,6 +369,7 @@ def _source_columns(options: ColumnOptions) -> SourceColumns:
     return SourceColumns(
         **_table_columns(options),
         position=tuple(words(options.position)),
+        position_unit=options.position_unit,
         rotation=tuple(words(options.rotation)),
         quaternion_order=options.quaternion_order,
         gripper=options.gripper,
@@ -373,13 +386,6 @@ def _table_columns(options: ColumnOptions) -> dict[str, Any]:
         "session": tuple(words(options.session)),
         "task": options.task,
     }
-
-
-def _numbers(text: str, option: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(word) for word in words(text))
-    except ValueError:
-        raise ValueError(f"{option} takes numbers separated by commas, got {text!r}") from None
 
 
 def _expanded(argv: Sequence[str]) -> list[str]:

@@ -62,3 +62,15 @@ def numbers(text: str, option: str) -> list[int]:
             raise ValueError(f"{option}: {word!r} is neither a number nor a range such as 0-9.")
         found += range(int(first), int(last if dash else first) + 1)
     return found
+
+
+def decimals(text: str, option: str) -> tuple[float, ...]:
+    """The decimal numbers of a comma-separated option.
+
+    Raises:
+        ValueError: If a part is no number; the message names the option.
+    """
+    try:
+        return tuple(float(word) for word in words(text))
+    except ValueError:
+        raise ValueError(f"{option} takes numbers separated by commas, got {text!r}") from None

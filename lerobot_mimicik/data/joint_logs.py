@@ -11,20 +11,26 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.data.tables import TableColumns, existing, read_table, spans, table_files
+from lerobot_mimicik.data.joint_readings import Mended, pieces, usable_rows
+from lerobot_mimicik.data.tables import (
+    TableColumns,
+    existing,
+    find_joint_columns,
+    numeric,
+    read_table,
+    spans,
+    table_files,
+)
 from lerobot_mimicik.data.writer import LOG_FILE, Episode, write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
-
-# How a table may call joint number i (from one) with this name.
-_USUAL = ("{name}", "{name}.pos", "q{i}", "joint{i}", "joint_{i}")
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,7 @@ class LogColumns(TableColumns):
     Attributes:
         joints: measured joints, in the arm's order.
         commands: commanded joints; empty: each frame aims at the next measured joints.
-        units: "rad" or "deg".
+        units: "rad" or "deg", of joints that turn; those that slide are in m.
     """
 
     joints: tuple[str, ...] = ()
@@ -49,14 +55,16 @@ class LogColumns(TableColumns):
 
 @dataclass(frozen=True)
 class LogSummary:
-    """What was written: the dataset's folder, and its episodes and frames."""
+    """What was written: the dataset's folder, its episodes and frames, and what was done to the readings."""
 
     root: Path
     episodes: int
     frames: int
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return f"{self.episodes} episodes, {self.frames} frames of recorded joints: {self.root}"
+        first = f"{self.episodes} episodes, {self.frames} frames of recorded joints: {self.root}"
+        return "\n  ".join([first, *self.notes])
 
 
 def write_joint_logs(
@@ -88,21 +96,30 @@ def write_joint_logs(
     Raises:
         FileNotFoundError: nothing at `source`.
         FileExistsError: `root` holds something that may not be replaced.
-        ValueError: the source is also the output; columns that are missing, or no piece that is long enough.
+        ValueError: the source is also the output; columns that are missing, numbers that cannot be the arm's joints,
+            or no piece that is long enough.
     """
     columns = columns or LogColumns()
     outputs.check_new(root, "dataset", overwrite, [source])
-    files = table_files(Path(source))
+    files, mended = table_files(Path(source)), Mended()
     episodes = [
         episode
         for path in files
-        for episode in _episodes(path, description, columns, fps, max_gap, min_duration, task)
+        for episode in _episodes(path, description, columns, fps, max_gap, min_duration, task, mended)
     ]
     if not episodes:
         raise ValueError(
-            f"{source} holds no recording of at least {min_duration:g} s without a hole of {max_gap:g} s"
+            "; ".join(
+                [
+                    f"{source} holds no recording of at least {min_duration:g} s without a hole of {max_gap:g} s",
+                    *mended.lines(),
+                ]
+            )
         )
-    about = {"joints": "recorded", "files": [path.name for path in files]}
+    notes = mended.lines()
+    if columns.units == "deg" and max(np.abs(episode.state).max() for episode in episodes) < math.radians(7):
+        notes.append("no joint is ever 7 deg from zero: are the readings in rad? (--columns.joint_units)")
+    about = {"joints": "recorded", "files": [path.name for path in files], "mended": asdict(mended)}
     totals = write_dataset(
         root,
         f"local/{Path(root).name}",
@@ -114,7 +131,7 @@ def write_joint_logs(
         space,
         {LOG_FILE: json.dumps(about, indent=2) + "\n"},
     )
-    return LogSummary(Path(root), **totals)
+    return LogSummary(Path(root), **totals, notes=tuple(notes))
 
 
 def _episodes(
@@ -125,16 +142,26 @@ def _episodes(
     max_gap: float,
     min_duration: float,
     task: str,
+    mended: Mended,
 ) -> Iterator[Episode]:
     table, where = read_table(path), str(path)
     chain = array_chain(description)
     measured = _joint_columns(table, columns.joints, description, where)
     commanded = _joint_columns(table, columns.commands, description, where) if columns.commands else measured
-    unit = math.pi / 180 if columns.units == "deg" else 1.0
-    joints = table[measured + commanded].to_numpy(dtype=np.float64) * unit
+    turn = math.pi / 180 if columns.units == "deg" else 1.0
+    units = np.array([1.0 if joint.type == "prismatic" else turn for joint in description.joints()])
+    usable, *clipped = usable_rows(
+        description,
+        numeric(table, measured, where) * units,
+        numeric(table, commanded, where) * units,
+        where,
+        mended,
+    )
+    joints = np.hstack(clipped)
     for span in spans(table, columns, where, path.name):
-        for t, values in _pieces(span.t, joints[span.rows], max_gap):
+        for t, values in pieces(span.t, joints[span.rows], usable[span.rows], max_gap, fps, mended):
             if t[-1] - t[0] < max(min_duration, 2 / fps):
+                mended.short += float(t[-1] - t[0])
                 continue
             state, action = np.hsplit(_resampled(t, values, fps), 2)
             # A frame's action is what holds at the next.
@@ -158,25 +185,13 @@ def _joint_columns(
         if len(asked) != len(names):
             raise ValueError(f"{len(asked)} columns given for {len(names)} joints ({', '.join(names)})")
         return list(existing(table, asked, where, "joint"))
-    for form in _USUAL:
-        found = [form.format(name=name, i=number) for number, name in enumerate(names, 1)]
-        if all(name in table.columns for name in found):
-            return found
+    found = find_joint_columns(table.columns, names)
+    if found is not None:
+        return found
     raise ValueError(
         f"{where} has no columns for the joints {', '.join(names)} (looked for them by name and for q1, q2, "
         f"...); its columns: {', '.join(map(str, table.columns))}"
     )
-
-
-def _pieces(time: np.ndarray, joints: np.ndarray, max_gap: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Stamps and joints of what is uninterrupted: finite, stamps strictly rising, no hole longer than `max_gap`."""
-    rows = np.flatnonzero(np.isfinite(time) & np.isfinite(joints).all(axis=1))
-    if not len(rows):
-        return
-    latest = np.maximum.accumulate(time[rows])
-    rows = rows[np.concatenate([[True], time[rows][1:] > latest[:-1]])]
-    for piece in np.split(rows, np.flatnonzero(np.diff(time[rows]) > max_gap) + 1):
-        yield time[piece], joints[piece]
 
 
 def _resampled(time: np.ndarray, values: np.ndarray, fps: int) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,8 @@ GROUPS = (
     "recording", "recording_id", "trajectory", "trajectory_id", "demo", "demo_id",
     "episode", "episode_id", "episode_index",
 )  # fmt: skip
+# How a table may call joint number i (from one) with this name.
+_JOINTS = ("{name}", "{name}.pos", "q{i}", "joint{i}", "joint_{i}")
 _ONE = {
     "time": ("t", "time", "timestamp", "timestamps", "stamp", "time_s", "timestamp_s", "robot_timestamp"),
     "gripper": (
@@ -97,13 +99,50 @@ def read_table(path: Path) -> pd.DataFrame:
 
 def _read(path: Path) -> pd.DataFrame:
     if path.name.endswith(".parquet"):
-        return pd.read_parquet(path)
+        return read_parquet(path)
     if path.name.endswith(TABLE_SUFFIXES):
-        return pd.read_csv(path, sep="\t" if path.suffix == ".tsv" else ",")
+        try:
+            return pd.read_csv(path, sep="\t" if path.suffix == ".tsv" else ",")
+        except (ValueError, OSError) as error:  # pandas' own errors are ValueErrors
+            raise ValueError(f"{path} cannot be read as text with columns: {error}") from error
     raise ValueError(
         f"{path}: expected {', '.join(TABLE_SUFFIXES)} or a LeRobot dataset folder "
         "(convert zarr to one of these first)"
     )
+
+
+def read_parquet(path: Path, columns: list[str] | None = None) -> pd.DataFrame:
+    """A parquet file, or ValueError with its name."""
+    try:
+        return pd.read_parquet(path, columns=columns)
+    except (ValueError, OSError) as error:  # pyarrow's own errors are one or the other
+        raise ValueError(f"{path} cannot be read as parquet: {error}") from error
+
+
+def numeric(table: pd.DataFrame, names: Sequence[str], where: str) -> np.ndarray:
+    """Columns as numbers, (rows, columns), NaN where a cell is empty.
+
+    Raises:
+        ValueError: a cell holds something else; names table, column, row and cell.
+    """
+    found = []
+    for name in names:
+        values = pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=np.float64)
+        wrong = np.flatnonzero(np.isnan(values) & table[name].notna().to_numpy())
+        if len(wrong):
+            cell = table[name].iloc[wrong[0]]
+            raise ValueError(f"{where}: column {name!r} holds {cell!r} in row {wrong[0]}, expected a number")
+        found.append(values)
+    return np.column_stack(found)
+
+
+def find_joint_columns(names: Sequence[str], joints: Sequence[str]) -> list[str] | None:
+    """One of `names` for each joint, after the first usual way to call them; None if there are none."""
+    for form in _JOINTS:
+        found = [form.format(name=name, i=number) for number, name in enumerate(joints, 1)]
+        if all(name in names for name in found):
+            return found
+    return None
 
 
 def guess_one(table: pd.DataFrame, name: str, role: str, where: str) -> str | None:

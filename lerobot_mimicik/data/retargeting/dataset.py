@@ -23,6 +23,7 @@ from tqdm import tqdm
 
 from lerobot_mimicik import outputs
 from lerobot_mimicik.data.retargeting.parts import PartStore, load_outcomes, manifest_of, save_outcomes
+from lerobot_mimicik.data.retargeting.recorded_units import check_recordings
 from lerobot_mimicik.data.retargeting.recordings import Recording, SourceColumns, load_recordings
 from lerobot_mimicik.data.retargeting.report import RetargetSummary, retarget_report
 from lerobot_mimicik.data.retargeting.retarget import DROPPED, Outcome, Retargeter, RetargetOptions
@@ -95,7 +96,7 @@ def retarget_dataset(
     Raises:
         FileExistsError: `output`, `output`.parts or `output`.writing holds something that may not be replaced.
         ValueError: the source is also the output, columns that are not understood, a resumed run with other
-            settings, or nothing left to write.
+            settings, recordings in other units than they were read in, or nothing left to write.
     """
     started = time.monotonic()
     options, columns, job = options or RetargetOptions(), columns or SourceColumns(), job or JobOptions()
@@ -104,7 +105,8 @@ def retarget_dataset(
     for root in roots.values():
         # What may be there is known only when a resumed run is found.
         outputs.check_new(root, "dataset", job.overwrite or job.resume, [source])
-    recordings = load_recordings(source, columns)
+    recordings = load_recordings(source, columns, description.joint_names)
+    check_recordings(recordings, description, options.cleaning.max_speed, columns.position_unit, str(source))
     recordings = recordings[: job.limit] if job.limit else recordings
     manifest = manifest_of(
         recordings=_fingerprint(recordings),

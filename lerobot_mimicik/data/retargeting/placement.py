@@ -17,16 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lerobot_mimicik.data.home import find_home
 from lerobot_mimicik.data.retargeting.trajectory_ik import (
     TrajectoryOptions,
     forward,
-    joint_range,
-    smallest_singular_value,
     solve_trajectories,
 )
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
-from lerobot_mimicik.kinematics.collision import ArmCollision
 
 PAPER_WORKSPACE = (0.43, 0.40, 0.23)
 """Extent of the paper's recordings [m], of an arm whose joints beyond the shoulder reach 0.65 m."""
@@ -195,22 +193,6 @@ def find_workspace(description: ArmDescription, options: PlacementOptions, floor
             best = (reached, centre)
     assert best is not None
     return Workspace(best[1], size, home, pose[3:])
-
-
-def find_home(description: ArmDescription, floor: float | None) -> np.ndarray:
-    """A comfortable configuration for an arm that names none: far from singular, off limits, clear of itself.
-
-    Shape (dof,) [rad]. The best of a fixed sample of the joint range.
-    """
-    lower, upper = joint_range(description, 0.1)
-    lower, upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
-    q = np.random.default_rng(0).uniform(lower, upper, size=(2000, len(lower)))
-    singular = smallest_singular_value(description, q)
-    margin = np.minimum(q - lower, upper - q).min(axis=1)
-    height = forward(description, q)[:, 2] - (floor if floor is not None else -np.inf)
-    clear = ArmCollision(description, 0.5 * (lower + upper), floor).clearance(q)
-    score = np.minimum(singular, 0.5 * margin) + np.minimum(clear, 0.05) - 10.0 * (height < 0.1)
-    return q[int(np.argmax(score))]
 
 
 def _reachable(

@@ -8,6 +8,7 @@ repaired here (see `cleaning`).
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,19 @@ import numpy as np
 import pandas as pd
 
 from lerobot_mimicik.data.retargeting.pose_columns import PoseColumns, find_pose_columns, gather_poses
-from lerobot_mimicik.data.tables import TableColumns, group_rows, guess_one, read_table, spans, table_files
+from lerobot_mimicik.data.tables import (
+    TableColumns,
+    find_joint_columns,
+    group_rows,
+    guess_one,
+    numeric,
+    read_parquet,
+    read_table,
+    spans,
+    table_files,
+)
+
+POSITION_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
 
 @dataclass(frozen=True)
@@ -24,19 +37,25 @@ class SourceColumns(TableColumns):
     """Which columns of the source mean what; an empty field is guessed from the names usual in the field.
 
     Attributes:
-        position: three columns, or one column of 3-vectors [m].
+        position: three columns, or one column of 3-vectors.
+        position_unit: one of `POSITION_UNITS`.
         rotation: four columns (quaternion) or three (rotation vector), or one column of such vectors.
         quaternion_order: "xyzw" or "wxyz".
         gripper: gripper width or opening, passed through.
     """
 
     position: tuple[str, ...] = ()
+    position_unit: str = "m"
     rotation: tuple[str, ...] = ()
     quaternion_order: str = "xyzw"
     gripper: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.position_unit not in POSITION_UNITS:
+            raise ValueError(
+                f"position_unit must be one of {', '.join(POSITION_UNITS)}, got {self.position_unit!r}"
+            )
         if self.quaternion_order not in ("xyzw", "wxyz"):
             raise ValueError(f"quaternion_order must be 'xyzw' or 'wxyz', got {self.quaternion_order!r}")
 
@@ -53,6 +72,7 @@ class Recording:
             normalised.
         gripper: shape (T,) or None.
         task: sentence, empty if the source has none.
+        joints: the arm's joints at the same moments as recorded, shape (T, dof), or None.
     """
 
     name: str
@@ -61,13 +81,21 @@ class Recording:
     pose: np.ndarray
     gripper: np.ndarray | None = None
     task: str = ""
+    joints: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.t)
 
 
-def load_recordings(source: str | Path, columns: SourceColumns | None = None) -> list[Recording]:
+def load_recordings(
+    source: str | Path, columns: SourceColumns | None = None, joint_names: Sequence[str] = ()
+) -> list[Recording]:
     """All recordings of a parquet or CSV file, a folder of such files, or a LeRobot v3 dataset, in order.
+
+    Args:
+        source: where they are.
+        columns: what its columns mean.
+        joint_names: of an arm that may have been recorded too.
 
     Raises:
         FileNotFoundError: nothing at `source`.
@@ -75,45 +103,60 @@ def load_recordings(source: str | Path, columns: SourceColumns | None = None) ->
     """
     source, columns = Path(source), columns or SourceColumns()
     if (source / "meta" / "info.json").is_file():
-        return _load_lerobot(source, columns)
+        return _load_lerobot(source, columns, joint_names)
     return [
         recording
         for path in table_files(source)
-        for recording in _split_table(read_table(path), columns, str(path), default_name=path.name)
+        for recording in _split_table(read_table(path), columns, str(path), path.name, joint_names)
     ]
 
 
 def _split_table(
-    table: pd.DataFrame, columns: SourceColumns, where: str, default_name: str
+    table: pd.DataFrame, columns: SourceColumns, where: str, default_name: str, joint_names: Sequence[str]
 ) -> list[Recording]:
     """Cut a table into recordings by its group columns."""
     found = find_pose_columns(table, columns.position, columns.rotation, where)
     gripper = guess_one(table, columns.gripper, "gripper", where)
-    pose = gather_poses(table, found, columns.quaternion_order, where)
+    opening = None if gripper is None else numeric(table, [gripper], where)[:, 0]
+    pose = _poses(table, found, columns, where)
+    named = find_joint_columns(table.columns, joint_names) if joint_names else None
+    joints = numeric(table, named, where) if named else None
     return [
         Recording(
             name=span.name,
             session=span.session,
             t=span.t,
             pose=pose[span.rows],
-            gripper=None if gripper is None else table[gripper].to_numpy(dtype=np.float64)[span.rows],
+            gripper=None if opening is None else opening[span.rows],
             task=span.task,
+            joints=None if joints is None else joints[span.rows],
         )
         for span in spans(table, columns, where, default_name)
     ]
 
 
-def _load_lerobot(root: Path, columns: SourceColumns) -> list[Recording]:
+def _poses(table: pd.DataFrame, found: PoseColumns, columns: SourceColumns, where: str) -> np.ndarray:
+    """Poses (rows, 7) in metres."""
+    pose = gather_poses(table, found, columns.quaternion_order, where)
+    pose[:, :3] *= POSITION_UNITS[columns.position_unit]
+    return pose
+
+
+def _load_lerobot(root: Path, columns: SourceColumns, joint_names: Sequence[str]) -> list[Recording]:
     """Recordings of a LeRobot v3 dataset: one per episode, from the first feature that holds poses."""
-    info = json.loads((root / "meta" / "info.json").read_text())
+    try:
+        info = json.loads((root / "meta" / "info.json").read_text())
+    except ValueError as error:
+        raise ValueError(f"{root / 'meta' / 'info.json'} is not JSON: {error}") from error
     features: dict[str, dict[str, Any]] = info["features"]
     wanted = [key for key, ft in features.items() if ft["dtype"] not in ("video", "image")]
     files = sorted((root / "data").glob("*/*.parquet"))
     if not files:
         raise ValueError(f"LeRobot dataset {root} has no data/*/*.parquet")
-    table = pd.concat([pd.read_parquet(path, columns=wanted) for path in files], ignore_index=True)
+    table = pd.concat([read_parquet(path, columns=wanted) for path in files], ignore_index=True)
     found = find_pose_columns(table, columns.position, columns.rotation, str(root), features)
-    pose = gather_poses(table, found, columns.quaternion_order, str(root))
+    pose = _poses(table, found, columns, str(root))
+    joints = _lerobot_joints(table, features, joint_names)
     gripper = _lerobot_gripper(table, features, columns.gripper, found, str(root))
     tasks, sessions = _lerobot_metadata(root)
     fps = float(info["fps"])
@@ -134,9 +177,27 @@ def _load_lerobot(root: Path, columns: SourceColumns) -> list[Recording]:
                 pose=pose[rows],
                 gripper=None if gripper is None else gripper[rows],
                 task=task,
+                joints=None if joints is None else joints[rows],
             )
         )
     return recordings
+
+
+def _lerobot_joints(
+    table: pd.DataFrame, features: dict[str, dict[str, Any]], joint_names: Sequence[str]
+) -> np.ndarray | None:
+    """The joints among the named components of the state, (rows, dof), if they are there."""
+    names = _component_names(features, "observation.state")
+    found = find_joint_columns(names, joint_names) if joint_names and "observation.state" in table else None
+    if found is None:
+        return None
+    state = np.stack(table["observation.state"].to_numpy()).astype(np.float64)
+    return state[:, [names.index(name) for name in found]]
+
+
+def _component_names(features: dict[str, dict[str, Any]], key: str) -> list[str]:
+    names = features.get(key, {}).get("names") or []
+    return [str(name) for name in (next(iter(names.values())) if isinstance(names, dict) else names)]
 
 
 def _lerobot_gripper(
@@ -151,10 +212,8 @@ def _lerobot_gripper(
     if column is not None:
         return np.stack(table[column].to_numpy()).reshape(len(table), -1)[:, 0].astype(np.float64)
     for key in (found.position[0], "observation.state"):
-        names = features.get(key, {}).get("names") or []
-        names = next(iter(names.values())) if isinstance(names, dict) else names
-        for index, component in enumerate(names):
-            if "gripper" in str(component).lower():
+        for index, component in enumerate(_component_names(features, key)):
+            if "gripper" in component.lower():
                 return np.stack(table[key].to_numpy())[:, index].astype(np.float64)
     return None
 
@@ -163,11 +222,11 @@ def _lerobot_metadata(root: Path) -> tuple[dict[int, str], dict[int, str]]:
     """Task by task index and session by episode index, as far as the dataset states them."""
     tasks: dict[int, str] = {}
     if (root / "meta" / "tasks.parquet").is_file():
-        table = pd.read_parquet(root / "meta" / "tasks.parquet")
+        table = read_parquet(root / "meta" / "tasks.parquet")
         tasks = {int(index): str(task) for task, index in table["task_index"].items()}
     sessions: dict[int, str] = {}
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
-        table = pd.read_parquet(path)
+        table = read_parquet(path)
         if "session" in table:
             sessions |= {
                 int(e): str(s) for e, s in zip(table["episode_index"], table["session"], strict=True)
