@@ -151,7 +151,7 @@ def test_values_that_do_not_fit_are_refused(call, expected):
 
 def test_describing_an_arm_needs_neither_torch_nor_the_chain_library():
     code = (
-        "import sys; from lerobot_mimicik.kinematics import describe_arm; describe_arm('piper');"
+        "import sys; from lerobot_mimicik.kinematics.arms import describe_arm; describe_arm('piper');"
         "assert not {'torch', 'pytorch_kinematics'} & set(sys.modules)"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

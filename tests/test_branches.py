@@ -5,11 +5,12 @@ import pytest
 
 from lerobot_mimicik.guidance.branches import BranchChange
 from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.plausibility import joint_limits
 from lerobot_mimicik.kinematics.point_chain import PointChain
 
 ARM = describe_arm("airbot_play")
 CHAIN = PointChain(ARM)
-LOWER, UPPER = (np.array([getattr(joint, side) for joint in ARM.joints()]) for side in ("lower", "upper"))
+LOWER, UPPER = joint_limits(ARM)
 ONE = np.array([0.1, -1.0, 1.2, 1.2, 0.3, -1.2])
 
 

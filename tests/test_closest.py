@@ -5,12 +5,13 @@ import pytest
 
 from lerobot_mimicik.guidance.closest import closest_configuration
 from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.plausibility import joint_limits
 from lerobot_mimicik.kinematics.point_chain import PointChain
 from lerobot_mimicik.kinematics.poses import pose_distance
 
 ARM = describe_arm("airbot_play")
 CHAIN, HOME = PointChain(ARM), np.array(ARM.home)
-LOWER, UPPER = (np.array([getattr(joint, side) for joint in ARM.joints()]) for side in ("lower", "upper"))
+LOWER, UPPER = joint_limits(ARM)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
 from lerobot_mimicik.kinematics.collision import ArmCollision
+from lerobot_mimicik.kinematics.plausibility import joint_limits
 
 Array = NDArray[np.float64]
 
@@ -40,10 +41,10 @@ class ArmArrays:
         self._chain = array_chain(description)
         joints = description.joints()
         self.base_to_tip = [description.joint_names.index(j.name) for j in description.chain() if j.movable]
-        self.limits = np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
+        self.limits = joint_limits(description)
         self.prismatic = np.array([joint.type == "prismatic" for joint in joints])
-        lower = np.array([joint.lower if math.isfinite(joint.lower) else -math.pi for joint in joints])
-        upper = np.array([joint.upper if math.isfinite(joint.upper) else math.pi for joint in joints])
+        # A joint that turns without end is moved within one turn.
+        lower, upper = (np.nan_to_num(side, neginf=-math.pi, posinf=math.pi) for side in self.limits)
         margin = np.minimum(LIMIT_MARGIN_RAD, 0.25 * (upper - lower))
         self.lower, self.upper = lower + margin, upper - margin
         self.home = np.clip(np.asarray(description.home, dtype=np.float64), self.lower, self.upper)

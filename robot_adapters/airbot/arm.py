@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
+from lerobot_mimicik.kinematics.plausibility import joint_limits
 from robot_adapters.airbot.gripper import opening_from_motor_angle
 from robot_adapters.airbot.protocol import Tool
 from robot_adapters.airbot.settings import AirbotSettings
@@ -108,9 +109,7 @@ class AirbotArm:
         self.description = description or describe_arm("airbot_play")
         self.joint_names = self.description.joint_names
         self.clock: Clock = clock or RealClock()
-        joints = self.description.joints()
-        lower, upper = (np.array([getattr(joint, side) for joint in joints]) for side in ("lower", "upper"))
-        self.gate = SafetyGate(self.joint_names, lower, upper, self.settings.limits)
+        self.gate = SafetyGate(self.joint_names, *joint_limits(self.description), self.settings.limits)
         self.identity: ArmIdentity | None = None
         self._bus_options = bus_options
         self._bus: can.BusABC | None = None
