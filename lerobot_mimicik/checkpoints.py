@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lerobot_mimicik.inputs import looks_like_path, near
 from lerobot_mimicik.weights import CheckpointError
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def find_checkpoint(path: str) -> str:
     Raises:
         FileNotFoundError: If the folder holds no checkpoint, or the path looks like no repository either.
     """
-    folder = Path(path)
+    folder = Path(path).expanduser()
     inside = (".", "pretrained_model", "checkpoints/last/pretrained_model")
     if folder.is_dir():
         for candidate in inside:
@@ -41,9 +42,10 @@ def find_checkpoint(path: str) -> str:
         raise FileNotFoundError(
             f"{path} holds no checkpoint: expected config.json in it, or in {' or '.join(inside[1:])} below."
         )
-    if path.startswith((".", "/", "~")) or path.count("/") != 1:
+    if looks_like_path(path):
         raise FileNotFoundError(
-            f"The checkpoint {path} does not exist, and this is no Hub repository (user/name)."
+            f"The checkpoint {path} does not exist: there is no such folder, and it does not look like a Hub "
+            f"repository (user/name).{near(path)}"
         )
     return path
 

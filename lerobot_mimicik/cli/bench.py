@@ -79,6 +79,16 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
     """
     if not words(config.datasets) or not config.train:
         raise ValueError("--datasets and --train are needed: folders of LeRobot datasets.")
+    from lerobot_mimicik.inputs import check_dataset, check_exists
+    from lerobot_mimicik.kinematics.arms import describe_arm
+
+    for root in words(config.datasets):
+        check_dataset(root, "--datasets")
+    check_dataset(config.train, "--train")
+    if config.recipes:
+        check_exists(config.recipes, "--recipes")
+    if config.urdf:
+        describe_arm(config.urdf)
     from lerobot_mimicik.evaluation.bench_run import BenchOptions, run_bench
 
     options = BenchOptions(

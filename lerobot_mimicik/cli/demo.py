@@ -102,6 +102,15 @@ def run(config: DemoConfig) -> Path:
         raise ValueError(f"--source must be synthetic or ee, got {config.source!r}.")
     if (config.source == "ee") != bool(config.input):
         raise ValueError("--source=ee needs --input, the recorded motion; --source=synthetic takes none.")
+    from lerobot_mimicik.checkpoints import check_device
+    from lerobot_mimicik.inputs import check_exists
+    from lerobot_mimicik.kinematics.arms import describe_arm
+
+    if config.input:
+        check_exists(config.input, "--input")
+    describe_arm(config.robot)
+    if config.device:
+        check_device(config.device)
     output = Path(config.output)
     recipe = training_process.find_recipe(config.recipe)
     _claim(output, config)

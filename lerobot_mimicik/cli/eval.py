@@ -67,10 +67,10 @@ class EvalConfig:
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
     config = draccus.parse(EvalConfig, args=join_repeated(argv, "--dataset.root"), prog="mimicik eval")
-    from lerobot_mimicik.evaluation.report import markdown_table
-
     rows: list[dict[str, Any]] = []
     run(config, rows=rows)
+    from lerobot_mimicik.evaluation.report import markdown_table
+
     print(markdown_table(rows))
     for row in rows:
         if row["verdict"] == "unavailable":
@@ -96,6 +96,10 @@ def run(
         FileExistsError: If a report is there that this project did not write.
         FileNotFoundError: If a dataset or checkpoint does not exist.
     """
+    roots = words(config.dataset.root)
+    if not roots:
+        raise ValueError("--dataset.root is missing: the folder of a LeRobot dataset.")
+    _check_paths(config, roots)
     import torch
 
     from lerobot_mimicik.checkpoints import LEARNED, kind_of, load_policy
@@ -107,9 +111,6 @@ def run(
     from lerobot_mimicik.publishing.hub import weights_digest
     from lerobot_mimicik.solvers import SolverUnavailable, known_solvers, make_solver
 
-    roots = words(config.dataset.root)
-    if not roots:
-        raise ValueError("--dataset.root is missing: the folder of a LeRobot dataset.")
     modes = _known(words(config.mode), known_modes(), "--mode")
     names = _known(words(config.solvers), known_solvers(), "--solvers")
     names += [] if "hold" in names else ["hold"]
@@ -171,6 +172,19 @@ def run(
         write_report(config.out, rows, recordings, settings)
     write_report(config.out, rows, recordings, settings)
     return evaluations
+
+
+def _check_paths(config: EvalConfig, roots: list[str]) -> None:
+    """Say what does not exist before seconds go into imports."""
+    from lerobot_mimicik.checkpoints import check_device, find_checkpoint
+    from lerobot_mimicik.inputs import check_dataset
+
+    for root in roots:
+        check_dataset(root, "--dataset.root")
+    if config.policy.path:
+        find_checkpoint(config.policy.path)
+    if config.device:
+        check_device(config.device)
 
 
 def _known(asked: list[str], known: Sequence[str], option: str) -> list[Any]:

@@ -16,6 +16,7 @@ from lerobot_mimicik.data.retargeting.placement import PlacementOptions
 from lerobot_mimicik.data.retargeting.recordings import SourceColumns
 from lerobot_mimicik.data.retargeting.retarget import RetargetOptions
 from lerobot_mimicik.data.writer import SPACES
+from lerobot_mimicik.inputs import check_exists
 
 if TYPE_CHECKING:
     from lerobot_mimicik.data.joint_logs import LogSummary
@@ -255,6 +256,7 @@ def run(
         return _write_stress(config, description)
     if not config.input:
         raise ValueError("--input is missing: the file, folder or LeRobot dataset to read")
+    check_exists(config.input, "--input")
     if config.source == "joints":
         return _write_logs(config, description)
     from lerobot_mimicik.data.retargeting.dataset import JobOptions, retarget_dataset

@@ -68,6 +68,7 @@ def main(argv: Sequence[str]) -> int:
         public, secret = make_keys(config.make_keys, config.key_name)
         print(f"{public} may be given to anybody; {secret} stays here.")
         return 0
+    _check_paths(config)
     with make_server(config) as server:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: server.stop())
@@ -75,6 +76,23 @@ def main(argv: Sequence[str]) -> int:
         server.serve()
         print(f"Stopped: {server.answered} requests answered, {server.refused} refused.", flush=True)
     return 0
+
+
+def _check_paths(config: ServeConfig) -> None:
+    """Say what does not exist before seconds go into imports."""
+    from lerobot_mimicik.checkpoints import check_device, find_checkpoint
+    from lerobot_mimicik.inputs import check_exists
+    from lerobot_mimicik.kinematics.arms import describe_arm
+
+    if config.policy.path:
+        find_checkpoint(config.policy.path)
+    if config.robot:
+        describe_arm(config.robot)
+    if config.device:
+        check_device(config.device)
+    for option in ("secret_key", "allowed_keys"):
+        if getattr(config, option):
+            check_exists(getattr(config, option), f"--{option}")
 
 
 def make_server(config: ServeConfig) -> IKServer:

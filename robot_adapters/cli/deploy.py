@@ -74,10 +74,11 @@ class DeployConfig:
 def main(argv: Sequence[str]) -> int:
     """Run the command; status 1 where the arm stopped before the end."""
     from lerobot_mimicik.cli.options import bare_switches
-    from lerobot_mimicik.evaluation.report import markdown_table
 
     config = draccus.parse(DeployConfig, args=bare_switches(argv, DeployConfig), prog="mimicik deploy")
     summary, row = run(config)
+    from lerobot_mimicik.evaluation.report import markdown_table
+
     print(markdown_table([row]))
     for key in (
         "control_period_ms",
@@ -109,6 +110,15 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
         FileNotFoundError: the checkpoint or the dataset does not exist.
         ConnectionError: the arm does not answer.
     """
+    from lerobot_mimicik.checkpoints import check_device, find_checkpoint
+    from lerobot_mimicik.inputs import check_dataset
+
+    if not config.policy.path:
+        raise ValueError("--policy.path is missing: the MimicIK checkpoint")
+    find_checkpoint(config.policy.path)
+    check_device(config.device)
+    if config.dataset.root:
+        check_dataset(config.dataset.root, "--dataset.root")
     import torch
 
     from lerobot_mimicik import outputs
@@ -120,8 +130,6 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     from lerobot_mimicik.kinematics.chain import SerialArm
     from robot_adapters.adapter import MimicIKAdapter
 
-    if not config.policy.path:
-        raise ValueError("--policy.path is missing: the MimicIK checkpoint")
     outputs.claim(config.out, "report")
     torch.set_num_threads(config.threads)
     adapter = MimicIKAdapter.from_pretrained(config.policy.path, config.device, reference=config.reference)

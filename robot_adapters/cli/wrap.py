@@ -49,6 +49,11 @@ def main(argv: Sequence[str]) -> int:
     ):
         if not value:
             raise ValueError(f"--{option} is missing")
+    from lerobot_mimicik.checkpoints import check_device, find_checkpoint
+
+    for path in filter(None, (config.policy.path, config.ik.path)):
+        find_checkpoint(path)
+    check_device(config.ik.device)
     from lerobot.utils.import_utils import register_third_party_plugins
 
     from lerobot_mimicik.kinematics.poses import PoseFormat
