@@ -1,14 +1,14 @@
 """MimicIKAdapter: end-effector targets in, bounded joint commands out, each with a status.
 
-target T_base_tool ──> at most one step's worth of the way ──> solver ──> at most one joint step ──> q
-                                                                  └── FK(q) against the target ──> status
+target T_base_tool, upcoming ──────────────────────────────> guidance ──> q, at most one joint step away
+     └── at most one step's worth of the way ──> solver ──> prior ─┘  └──> certificate ──> status
 """
 
 from __future__ import annotations
 
 import enum
 import threading
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.guidance.approach import towards
-from lerobot_mimicik.guidance.branches import BranchChange
-from lerobot_mimicik.guidance.closest import closest_configuration
-from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.guidance.certificate import Certificate, Reason
+from lerobot_mimicik.guidance.guided import Guidance
+from lerobot_mimicik.guidance.model import arm_model
+from lerobot_mimicik.guidance.settings import GuidanceSettings
+from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from lerobot_mimicik.kinematics.plausibility import joint_limits, why_not_joints, why_not_order, why_not_poses
 from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.kinematics.poses import PolicyFrames, decode_pose, pose_distance
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from robot_adapters.end_effector_policy import EndEffectorPolicy
 
 _WARM_UP = 4  # queries; the tracer optimises at the second and third
+_STATUS = {Reason.STEP: "limited", Reason.SMOOTHNESS: "inexact"}
 Array = NDArray[np.float64]
 
 
@@ -71,9 +74,10 @@ class IKResult:
         position_error, rotation_error: between FK(q) and the target [m, rad]; NaN where the target is no pose
             of this arm.
         step: largest joint motion of the command [rad].
-        source: who found the command: the solver, the descent to the closest configuration, the change to
-            another branch, or hold.
+        source: who found the command: `guided`, the solver's name where guidance trusted it, `branch` on the way to
+            another branch of the inverse kinematics, or `hold`.
         message: in words, empty when reached.
+        certificate: why it does not meet the target, and the margins; None where the command holds.
     """
 
     q: Array
@@ -83,62 +87,48 @@ class IKResult:
     step: float
     source: str
     message: str = ""
+    certificate: Certificate | None = None
 
 
 @dataclass(frozen=True)
-class AdapterSettings:
-    """How the adapter asks and judges.
+class AdapterSettings(GuidanceSettings):
+    """How the adapter guides, asks and judges; weights, bounds and tolerances are those of `GuidanceSettings`.
 
     Attributes:
         reference: joints that a step starts from: `commanded`, the command in force, while the arm follows
             it within `resync` [rad]; `measured`, always what was measured, lag and noise included.
-        max_step: largest joint motion of a command [rad].
-        max_translation, max_rotation: largest part of the way that the solver is asked for at once [m, rad]. A
-            MimicIK policy is besides never asked for more than it saw in training.
-        position_tolerance, rotation_tolerance: errors of a target that counts as reached [m, rad].
-        relaxed_position, relaxed_rotation: errors from which, for a target in reach, a step of damped least
-            squares takes the place of the solver's answer [m, rad].
         resync: difference between measured and commanded joints from which the measured ones are used [rad]; an
             arm that lags by 0.2 s is 0.4 rad behind where it moves by the largest step at every frame.
-        branch_distance: largest joint motion of a change to another branch of the inverse kinematics, made
-            where a joint limit keeps the arm off a target that the other branch meets [rad]; 0: none is made.
-        branch_detour: how much further from the target than by staying the tool may come meanwhile [m].
+        max_translation, max_rotation: largest part of the way that the solver is asked for at once [m, rad]. A
+            MimicIK policy is besides never asked for more than it saw in training.
     """
 
     reference: str = "commanded"
-    max_step: float = 0.095
+    resync: float = 0.5
     max_translation: float = 0.05
     max_rotation: float = 0.3
-    position_tolerance: float = 0.002
-    rotation_tolerance: float = 0.02
-    relaxed_position: float = 0.005
-    relaxed_rotation: float = 0.05
-    resync: float = 0.5
-    branch_distance: float = 1.5
-    branch_detour: float = 0.02
 
     def __post_init__(self) -> None:
         if self.reference not in ("commanded", "measured"):
             raise ValueError(f"reference={self.reference!r}: expected 'commanded' or 'measured'")
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if each.name == "branch_distance" and value == 0:
-                continue
-            if each.name != "reference" and not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{each.name} must be finite and positive, got {value}")
+        super().__post_init__()
+        for name in ("resync", "max_translation", "max_rotation"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be finite and positive, got {getattr(self, name)}")
 
 
 class MimicIKAdapter:
     """One arm's inverse kinematics as a controller needs it: stateful, bounded, and honest about the rest.
 
-    Works with any `IKSolver`; `from_pretrained` makes it of a MimicIK checkpoint. One adapter drives one arm.
+    `for_arm` needs nothing but the arm; `from_pretrained` adds what a MimicIK checkpoint has learned; any `IKSolver` may
+    take its place. One adapter drives one arm.
     Calls from several threads are answered one after another, each from the command in force by then.
     """
 
     def __init__(
-        self, solver: IKSolver, description: ArmDescription, settings: AdapterSettings | None = None
+        self, solver: IKSolver | None, description: ArmDescription, settings: AdapterSettings | None = None
     ) -> None:
-        """`solver` answers for the arm of `description`; ValueError for settings that fit neither."""
+        """`solver`, or None, proposes joints for the arm of `description`; ValueError for settings that fit neither."""
         self.solver, self.description = solver, description
         self.settings = settings or AdapterSettings()
         self.chain = point_chain(description)
@@ -147,14 +137,23 @@ class MimicIKAdapter:
         self._lock = threading.RLock()
         self._command: Array | None = None
         self._solver_knows = False  # whether the solver's history ends at the command in force
-        self._branch = BranchChange(
-            self.chain,
-            self.lower,
-            self.upper,
-            self._is_reached,
-            self.settings.branch_distance,
-            self.settings.branch_detour,
-        )
+        self._guidance = Guidance(arm_model(description), self.settings)
+
+    @classmethod
+    def for_arm(cls, arm: str | Path | ArmDescription, **settings: Any) -> MimicIKAdapter:
+        """The guided solver alone, without any checkpoint.
+
+        Args:
+            arm: a shipped arm's name, a URDF file, or a description.
+            settings: of :class:`AdapterSettings`.
+
+        Raises:
+            ValueError, UrdfError, FileNotFoundError: as `describe_arm`; settings out of range.
+        """
+        description = arm if isinstance(arm, ArmDescription) else describe_arm(str(arm))
+        adapter = cls(None, description, AdapterSettings(**settings))
+        adapter.warm_up()
+        return adapter
 
     @classmethod
     def from_pretrained(cls, path: str | Path, device: str = "cpu", **settings: Any) -> MimicIKAdapter:
@@ -211,7 +210,6 @@ class MimicIKAdapter:
         """Forget the past: call it when a motion starts anew."""
         with self._lock:
             self._command = None
-            self._branch.cancel()
 
     def commanded(self, q: ArrayLike) -> None:
         """Say what was really sent [rad] (dof,), where a safety layer changed or refused the last command.
@@ -223,13 +221,16 @@ class MimicIKAdapter:
         with self._lock:
             if self._command is not None:
                 self._command = sent
+                self._guidance.commanded(sent)
 
-    def solve(self, q: ArrayLike, ee_target: ArrayLike) -> IKResult:
+    def solve(self, q: ArrayLike, ee_target: ArrayLike, upcoming: ArrayLike | None = None) -> IKResult:
         """The next joint command on the way to a target.
 
         Args:
             q: measured joints [rad], (dof,).
             ee_target: `T_base_tool` to reach, (7,), quaternion of any length but zero.
+            upcoming: targets of the frames after this one (T, 7), as many as are known: the motion is planned along
+                them. From the first one on that is no pose of this arm they are not looked at.
 
         Raises:
             ValueError: wrong shapes, or measured joints that are not finite or so far outside their limits
@@ -242,11 +243,33 @@ class MimicIKAdapter:
         target = _numbers(ee_target, "the target")
         if target.shape != (7,):
             raise ValueError(f"expected a target pose x y z qx qy qz qw, got shape {target.shape}")
+        following = self._following(upcoming)
         with self._lock:
             start = self._start(measured)
-            result = self._answer(start, target)
+            result = self._answer(start, target, following)
             self._command = result.q.copy()
             return result
+
+    def solve_chunk(self, q: ArrayLike, ee_targets: ArrayLike) -> list[IKResult]:
+        """The joint commands of consecutive targets, each planned with all that follow it in view.
+
+        Args:
+            q: measured joints [rad] (dof,) before the first command.
+            ee_targets: `T_base_tool` (T, 7), one per frame.
+
+        Raises:
+            ValueError: as `solve`.
+        """
+        targets = _numbers(ee_targets, "the targets")
+        if targets.ndim != 2 or targets.shape[1] != 7:
+            raise ValueError(f"expected target poses of shape (T, 7), got shape {targets.shape}")
+        results: list[IKResult] = []
+        with self._lock:
+            for t, target in enumerate(targets):
+                # Within a chunk the arm is taken to be where it was told to be.
+                start = results[-1].q if results else q
+                results.append(self.solve(start, target, targets[t + 1 :]))
+        return results
 
     def wrap(self, policy: Any, frames: PolicyFrames | None = None, **options: Any) -> EndEffectorPolicy:
         """A joint-space policy made of one that yields end-effector poses.
@@ -271,6 +294,33 @@ class MimicIKAdapter:
             raise ValueError(f"{what} are not finite: {joints.tolist()}")
         return joints
 
+    def _following(self, upcoming: ArrayLike | None) -> Array | None:
+        """The known next targets (T, 7) up to the first that is no pose of this arm."""
+        if upcoming is None:
+            return None
+        poses = _numbers(upcoming, "the upcoming targets")
+        if poses.size == 0:
+            return None
+        if poses.ndim != 2 or poses.shape[1] != 7:
+            raise ValueError(f"expected upcoming target poses of shape (T, 7), got shape {poses.shape}")
+        poses = poses[: self.settings.horizon - 1]
+        for t, pose in enumerate(poses):
+            try:
+                poses[t] = self._pose(pose)
+            except ValueError:
+                return poses[:t] if t else None
+        return poses
+
+    def _pose(self, target: Array) -> Array:
+        """Seven numbers as a pose of this arm with a unit quaternion; ValueError with the reason for others."""
+        if not np.isfinite(target).all():
+            raise ValueError(f"the target is not finite: {target.tolist()}")
+        pose = decode_pose(target, PoseFormat.QUATERNION)
+        reason = why_not_poses(self.description, pose)
+        if reason is not None:
+            raise ValueError(f"the target: {reason}")
+        return pose
+
     def _start(self, measured: Array) -> Array:
         """Joints that this step starts from."""
         if self._command is not None and np.abs(self._command - measured).max() > self.settings.resync:
@@ -281,40 +331,44 @@ class MimicIKAdapter:
             return measured
         return self._command
 
-    def _answer(self, start: Array, target: Array) -> IKResult:
+    def _answer(self, start: Array, target: Array, upcoming: Array | None) -> IKResult:
         """`_solve` for any seven numbers and any solver."""
         try:
-            if not np.isfinite(target).all():
-                raise ValueError(f"the target is not finite: {target.tolist()}")
-            target = decode_pose(target, PoseFormat.QUATERNION)
-            reason = why_not_poses(self.description, target)
-            if reason is not None:
-                raise ValueError(f"the target: {reason}")
+            target = self._pose(target)
         except ValueError as error:
             return self._held(start, str(error))
         try:
             if self._solver_knows:
-                return self._solve(start, target)
+                return self._solve(start, target, upcoming)
             self._restart(start)
-            result = self._solve(start, target)
+            result = self._solve(start, target, upcoming)
         # Solvers are anybody's: whatever they raise, the arm holds, and they begin anew with the next target.
         except Exception as error:
             self._solver_knows = False
             reason = str(error) or type(error).__name__
-            return self._held(start, f"{self.solver.name}: {reason}", target)
+            return self._held(start, f"{self._name}: {reason}", target)
         # Motions start near the tool: the first target tells most about its quaternion.
         hint = why_not_order(self.description, start[None], target[None])
         return result if hint is None else replace(result, message=f"{result.message}; {hint}")
 
+    @property
+    def _name(self) -> str:
+        return self.solver.name if self.solver is not None else "guided"
+
     def _restart(self, q: Array) -> None:
-        """The solver begins anew at `q` (dof,): its history is of another motion, or lost."""
-        self._branch.cancel()
-        self.solver.reset(q[None].copy() if self.solver.batched else q.copy())
-        self._lower_step, self._upper_step = _step_range(self.settings, self.solver)
+        """Guidance and solver begin anew at `q` (dof,): their history is of another motion, or lost."""
+        self._guidance.reset(q)
+        self._restart_solver(q)
         self._solver_knows = True
+
+    def _restart_solver(self, q: Array) -> None:
+        if self.solver is not None:
+            self.solver.reset(q[None].copy() if self.solver.batched else q.copy())
+            self._lower_step, self._upper_step = _step_range(self.settings, self.solver)
 
     def _ask(self, start: Array, target: Array) -> Array:
         """The solver's joints (dof,), finite; whatever it raises, and TypeError or ValueError for others."""
+        assert self.solver is not None
         if self.solver.batched:
             answer = float_array(self.solver.solve(start[None].copy(), target[None].copy()))
             answer = answer[0] if len(answer) == 1 else answer
@@ -326,78 +380,34 @@ class MimicIKAdapter:
             raise ValueError(f"answered {answer.tolist()}")
         return answer
 
-    def _solve(self, start: Array, target: Array) -> IKResult:
-        settings = self.settings
-        goal = self._branch.follow(target)
-        if goal is not None:
-            return self._changing(start, goal, target)
-        here = self.forward(start)
-        waypoint, share = towards(here, target, self._lower_step, self._upper_step)
-        q, cut = self._within_a_step(start, self._ask(start, waypoint))
-        errors = pose_distance(self.forward(q), target)
-        if self._is_reached(errors):
-            return self._judged(start, q, IKStatus.REACHED, target, self.solver.name, "")
-        # From where the arm is, not from the answer: so that it comes to rest where it can get no closer.
-        closest = closest_configuration(self.chain, self.lower, self.upper, start, target)
-        best = pose_distance(self.forward(closest), target)
-        other, _ = self._within_a_step(start, closest)
-        if not self._is_reached(best):
-            goal = self._branch.look(start, closest, target)
-            if goal is not None:
-                return self._changing(start, goal, target)
-            # What a network says about poses outside its training is no guide to the edge of the workspace.
-            message = f"from here the arm comes no closer than {best[0] * 1e3:.1f} mm, {best[1]:.3f} rad"
-            return self._judged(start, other, IKStatus.UNREACHABLE, target, "descent", message)
-        far = share < 1.0 or cut
-        if far:
-            status, message = IKStatus.LIMITED, "a step towards a target that is several steps away"
-            before = self._cost(pose_distance(here, target))
-            aimed_at = before - self._cost(pose_distance(waypoint, target))
-            stalled = before - self._cost(errors) < 0.5 * aimed_at
-        else:
-            status, message = IKStatus.INEXACT, "in reach, and missed by the solver"
-            stalled = errors[0] > settings.relaxed_position or errors[1] > settings.relaxed_rotation
-        if stalled:
-            return self._judged(start, other, status, target, "descent", message)
-        return self._judged(start, q, status, target, self.solver.name, message)
+    def _prior(self, start: Array, target: Array) -> Array:
+        """What the solver would do: it is asked for at most one step's worth of the way."""
+        waypoint, _ = towards(self.forward(start), target, self._lower_step, self._upper_step)
+        return self._ask(start, waypoint)
 
-    def _changing(self, start: Array, goal: Array, target: Array) -> IKResult:
-        q, on_the_way = self._within_a_step(start, goal)
-        if not on_the_way:
+    def _solve(self, start: Array, target: Array, upcoming: Array | None) -> IKResult:
+        prior = None if self.solver is None else self._prior
+        solution = self._guidance.solve(start, target, upcoming, prior)
+        found = solution.certificate
+        if solution.changing:
             # The solver begins anew: its history lies in the other branch.
-            self._restart(q)
-        message = f"a joint limit is in the way: {_step(start, goal):.2f} rad to a configuration without"
-        return self._judged(start, q, IKStatus.LIMITED, target, "branch", message)
-
-    def _judged(
-        self, start: Array, q: Array, status: IKStatus, target: Array, source: str, message: str
-    ) -> IKResult:
-        """The result of a command `q`, which is REACHED where it meets the target, whatever was expected."""
-        errors = pose_distance(self.forward(q), target)
-        if self._is_reached(errors):
+            self._restart_solver(solution.q)
+        source = self._name if found.source == "prior" else found.source
+        if found.reached:
             status, message = IKStatus.REACHED, ""
-        return IKResult(q.copy(), status, *errors, _step(start, q), source, message)
+        elif solution.changing:
+            status, message = (
+                IKStatus.LIMITED,
+                "a joint limit is in the way: going to a configuration without",
+            )
+        else:
+            status, message = IKStatus(_STATUS.get(found.reason, "unreachable")), str(found)
+        errors = (found.position_error, found.rotation_error)
+        return IKResult(solution.q.copy(), status, *errors, _step(start, solution.q), source, message, found)
 
     def _held(self, start: Array, message: str, target: Array | None = None) -> IKResult:
         errors = (np.nan, np.nan) if target is None else pose_distance(self.forward(start), target)
         return IKResult(start.copy(), IKStatus.FAILED, *errors, 0.0, "hold", message)
-
-    def _within_a_step(self, start: Array, q: Array) -> tuple[Array, bool]:
-        """The command on the straight way to `q` that moves no joint further than allowed, and whether that
-        cut it. Joints measured outside their limits are never pushed further out.
-        """
-        q = np.clip(q, np.minimum(self.lower, start), np.maximum(self.upper, start))
-        step = _step(start, q)
-        if step <= self.settings.max_step:
-            return q, False
-        return start + (q - start) * (self.settings.max_step / step), True
-
-    def _is_reached(self, errors: tuple[float, float]) -> bool:
-        return errors[0] <= self.settings.position_tolerance and errors[1] <= self.settings.rotation_tolerance
-
-    def _cost(self, errors: tuple[float, float]) -> float:
-        """Distance in tolerances, to compare errors by."""
-        return errors[0] / self.settings.position_tolerance + errors[1] / self.settings.rotation_tolerance
 
 
 def _step(start: Array, q: Array) -> float:
@@ -412,10 +422,10 @@ def _numbers(values: ArrayLike, what: str) -> Array:
         raise ValueError(f"{what}: {error}") from error
 
 
-def _step_range(settings: AdapterSettings, solver: IKSolver) -> tuple[Array, Array]:
+def _step_range(settings: AdapterSettings, solver: IKSolver | None) -> tuple[Array, Array]:
     """Smallest and largest pose step (6,) [m, rad] that the solver is asked for at once."""
     largest = np.array([settings.max_translation] * 3 + [settings.max_rotation] * 3)
-    if solver.step_range is None:
+    if solver is None or solver.step_range is None:
         return -largest, largest
     lower, upper = solver.step_range
     # An axis that training left out must not keep targets from being approached at all.

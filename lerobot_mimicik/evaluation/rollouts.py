@@ -168,6 +168,9 @@ def _closed_loop_lockstep(solver: IKSolver, trajectories: list[Trajectory], bar:
                 break
             solver.select(np.flatnonzero(going))
         q_curr[rows, t] = q[rows]
+        if solver.look_ahead and not solver.batched:
+            row = rows[0]
+            solver.foresee(target[row, t + 1 : min(t + 1 + solver.look_ahead, lengths[row])])
         q[rows] = _solve(solver, q[rows], target[rows, t])
         q_cmd[rows, t] = q[rows]
         asked[rows] += 1

@@ -1,1 +1,5 @@
-"""What stands between a solver and an arm: steps in a box, the closest configuration, branches."""
+"""Guidance: exact, smooth and bounded commands on the way to a target; no torch, no solver, no robot.
+
+`guided` is the face; below it `kernels` (compiled), `model`, `settings`, `certificate`, `search`, `branches` and
+`user_terms`. `approach` and `box_step` are what solvers of other kinds share.
+"""

@@ -38,6 +38,7 @@ class ArmCollision:
         """
         self._chain = array_chain(description)
         self._centres, self._radii, bodies = _spheres(description)
+        self._bodies = bodies
         self._floor = floor
         self.spheres = len(self._radii)
         pairs = [
@@ -67,6 +68,17 @@ class ArmCollision:
         if len(self._above):
             closest = np.minimum(closest, self._height(points).min(axis=0))
         return closest
+
+    def sphere_arrays(self) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+        """What is checked, as arrays.
+
+        Returns:
+            Of the spheres the centres in their bodies' frames (S, 3) [m], radii (S,) [m] and bodies (S,); and the pairs of
+            spheres (P, 2).
+        """
+        centres = np.concatenate([np.zeros((0, 3)), *self._centres])
+        pairs = np.stack([self._a, self._b], axis=1).astype(np.int64)
+        return (centres, self._radii.astype(float), self._bodies.astype(np.int64)), pairs
 
     def _leave_out_touching(self, reference: np.ndarray, bodies: np.ndarray) -> None:
         points = self._points(reference[None])

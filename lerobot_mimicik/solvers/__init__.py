@@ -6,6 +6,7 @@ live in packages of their own import them when they are made: ``available_solver
 
 from lerobot_mimicik.solvers import (
     embodik,
+    guided,
     hold,
     jparse,
     least_squares,
@@ -36,6 +37,7 @@ __all__ = [
     "SolverUnavailable",
     "available_solvers",
     "embodik",
+    "guided",
     "hold",
     "jparse",
     "known_solvers",

@@ -30,11 +30,13 @@ class IKSolver(ABC):
         name: How tables call the solver.
         batched: Whether ``reset``, ``solve`` and ``select`` take a leading batch axis, one row per arm that
             is driven independently of the others. Without it they take single configurations only.
+        look_ahead: How many targets after the present one it makes use of, where they are known (`foresee`).
         configuration: How it is configured and after what, with the source: what tables say beside its row.
     """
 
     name: str
     batched: bool = False
+    look_ahead: int = 0
     configuration: ClassVar[str] = ""
 
     @property
@@ -60,6 +62,9 @@ class IKSolver(ABC):
         Returns:
             Commanded joints, shaped as ``q_curr``, absolute, in rad.
         """
+
+    def foresee(self, upcoming: Array) -> None:  # noqa: B027 - most solvers have no use for it
+        """Targets (T, 7) of the frames after the one that ``solve`` is asked for next; holds for that question only."""
 
     def select(self, rows: NDArray[np.intp]) -> None:  # noqa: B027 - most solvers have nothing to do here
         """Go on with these rows of the batch only, in this order. Stateless solvers need not care."""

@@ -162,7 +162,7 @@ def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> Recordin
     from lerobot_mimicik.evaluation.evaluate import study
     from lerobot_mimicik.evaluation.trajectories import Layout, load_trajectories
 
-    policy = adapter.solver.policy  # type: ignore[attr-defined]
+    policy = adapter.solver.policy  # type: ignore[attr-defined, union-attr]
     with tempfile.TemporaryDirectory() as folder:
         root = Path(config.dataset.root or _generated(Path(folder), config))
         layout = Layout.of_policy(policy.config) if config.dataset.root else Layout()

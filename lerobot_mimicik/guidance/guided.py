@@ -1,0 +1,415 @@
+"""The guided solver: a target and what is known of the next ones in, a bounded command with its certificate out.
+
+                    ┌ one frame: two passes (regularised, then exact) ┐
+target, upcoming ──>┤                                                  ├─> clear of itself ──> command, certificate
+  prior (a network) └ a plan: two passes over all known frames         ┘
+                      where it does not meet the target: closest configuration, change of branch
+
+Every command keeps the joint limits and the step bound exactly, whatever the costs say. The answer depends on the
+calls since `reset` only, and no call takes more than a fixed number of steps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_mimicik.guidance import kernels
+from lerobot_mimicik.guidance.branches import BranchChange
+from lerobot_mimicik.guidance.certificate import (
+    Certificate,
+    Reason,
+    at_limits,
+    is_singular,
+    smallest_singular,
+)
+from lerobot_mimicik.guidance.model import ArmModel
+from lerobot_mimicik.guidance.search import NO_EXTRA, closest_configuration, kernel_task
+from lerobot_mimicik.guidance.settings import GuidanceSettings
+from lerobot_mimicik.guidance.user_terms import CostTerm, descend_with_terms
+
+Array = NDArray[np.float64]
+
+_DAMPING = 1e-2
+"""Levenberg-Marquardt damping as a multiple of the squared pose residual (Sugihara 2011)."""
+_GAIN = 1e-4  # fraction of its cost that a descent step must gain for another one to follow
+_TRUSTED_M = 1e-3
+"""Residual [m] of a prior's own command at which half of its weight is lost."""
+_PROGRESS = 0.5  # fraction of the way to the target that a trusted prior's command leaves, at most
+_POOR_M = 2e-3
+"""Residual [m] of a frame of the warm-started plan from which a plan made anew is tried beside it."""
+_GUARD_HALVINGS = 12  # of the way from a start that is clear to a command that is not
+
+
+_Why = tuple[Reason, tuple[str, ...], tuple[str, str] | None, tuple[float, float] | None]
+"""Reason, joints and links in the way, errors of the closest configuration."""
+
+
+class Prior(Protocol):
+    """Proposes joints; guidance decides how far it listens."""
+
+    def __call__(self, start: Array, target: Array) -> Array:
+        """Proposed joints (dof,) for a target (7,) from joints (dof,)."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The answer to one target.
+
+    Attributes:
+        q: Command (dof,) [rad, m].
+        certificate: Whether and why it meets the target.
+        plan: Planned joints (T, dof) from this frame on; one row without look-ahead.
+        cost: The shared cost of the plan.
+        trust: Fraction of the prior's weight that it earned in this frame.
+        changing: Whether the arm is on the way to another branch.
+    """
+
+    q: Array
+    certificate: Certificate
+    plan: Array
+    cost: float
+    trust: float
+    changing: bool
+
+
+class Guidance:
+    """Guides one arm from command to command.
+
+    Attributes:
+        model: The arm.
+        settings: Weights, bounds and tolerances.
+        terms: Costs of the user's own.
+    """
+
+    def __init__(
+        self, model: ArmModel, settings: GuidanceSettings | None = None, terms: Sequence[CostTerm] = ()
+    ) -> None:
+        self.model, self.settings, self.terms = model, settings or GuidanceSettings(), tuple(terms)
+        given, size = self.settings, model.reach**2
+        n = model.dof
+        posture = given.posture * size if n > _constrained(given) else 0.0
+        collision = given.collision * size if len(model.pairs) else 0.0
+        clearance = given.clearance * size
+        one = [given.velocity, given.acceleration, 0.0]
+        ahead = [given.ahead_velocity, 0.0, given.ahead_jerk * given.smoothness]
+        rest = [clearance, posture, collision]
+        self._one = np.array([*(size * value for value in one), *rest])
+        self._ahead = np.array([*(size * value for value in ahead), *rest])
+        # The second pass keeps a tenth of the third difference: it would otherwise undo what looking ahead is for.
+        self._one_exact = np.array([0.0, 0.0, 0.0, 0.0, 0.0, collision])
+        self._ahead_exact = np.array([0.0, 0.0, 0.1 * self._ahead[kernels.JERK], 0.0, 0.0, collision])
+        self._exactness, self._ahead_exactness = size * given.exactness, size * given.ahead_exactness
+        self._prior = size * given.prior
+        self._task = kernel_task(model, given.task)
+        self._bounds = (
+            model.lower,
+            model.upper,
+            model.margins(given.clearance_width, given.clearance_fraction),
+        )
+        self._step = np.full(n, given.max_step)
+        span = max(given.collision_zone - given.collision_margin, 1e-6)
+        self._zone = np.array([given.collision_zone, span])
+        self._posture = model.comfortable()
+        self._branch = BranchChange(
+            model, given.task, self.meets, given.branch_distance, given.branch_detour, given.collision_margin
+        )
+        self._past: Array | None = None
+        self._plan: Array | None = None
+
+    def reset(self, q: Array) -> None:
+        """Forget the past: the arm is at rest at `q` (dof,)."""
+        self._past = np.stack([np.asarray(q, dtype=float)] * 3)
+        self._plan = None
+        self._branch.cancel()
+
+    def commanded(self, q: Array) -> None:
+        """Say that `q` (dof,) was sent in place of the last command."""
+        if self._past is not None:
+            self._past[2] = q
+            self._plan = None
+
+    def meets(self, q: Array, target: Array) -> bool:
+        """Whether joints (dof,) meet a target (7,) within the tolerances, the task's axes and tolerances counted."""
+        return self._reached(self._left_over(q, target))
+
+    def solve(
+        self, start: Array, target: Array, upcoming: Array | None = None, prior: Callable | None = None
+    ) -> Solution:
+        """The next command.
+
+        Args:
+            start: Joints that the step starts from (dof,), the last command or the measured joints.
+            target: `T_base_tool` (7,), unit quaternion.
+            upcoming: Targets of the frames after it (T, 7), as many as are known.
+            prior: Proposes joints for the target; trusted as far as it earns it.
+        """
+        past = self._remember(start)
+        goal = self._branch.follow(target)
+        if goal is not None:
+            return self._on_the_way(past, goal, target)
+        targets = target[None]
+        if upcoming is not None and len(upcoming):
+            targets = np.concatenate([targets, upcoming[: self.settings.horizon - 1]])
+        rotations, positions = kernels.split_poses(targets)
+        proposed, trust = self._trusted(past[2], rotations[0], positions[0], target, prior)
+        if len(targets) == 1:
+            plan, cost = self._one_frame(past, rotations, positions, proposed, trust)
+            self._plan = None
+        else:
+            plan, cost = self._look_ahead(past, rotations, positions, proposed, trust)
+            self._plan = plan
+        q = self._kept_clear(past[2], plan[0])
+        source = "prior" if trust > 0.5 else "guided"
+        certificate = self._certify(past[2], q, target, source)
+        if (
+            not certificate.reached
+            and certificate.closest is not None
+            and not self._reached_errors(certificate)
+        ):
+            closest = closest_configuration(self.model, past[2], target, self.settings.task)
+            goal = self._branch.look(past[2], closest, target, upcoming)
+            if goal is not None:
+                return self._on_the_way(past, goal, target)
+        return self._remembered(past, Solution(q, certificate, plan, cost, trust, False))
+
+    # ---- the passes -------------------------------------------------------------------------------------------
+
+    def _one_frame(
+        self, past: Array, rotation: Array, position: Array, proposed: Array, trust: float
+    ) -> tuple[Array, float]:
+        weights = self._one.copy()
+        # What a trusted prior knows of the motion need not be guessed from its smoothness.
+        weights[: kernels.JERK] *= 1.0 - trust
+        x = past[2][None].copy()
+        if trust > 0:
+            x[0] = proposed
+        cost = self._descend(
+            x, past, rotation, position, weights, proposed[None], np.array([trust * self._prior])
+        )
+        self._descend(x, past, rotation, position, self._one_exact, x.copy(), np.array([self._exactness]))
+        return x, cost
+
+    def _look_ahead(
+        self, past: Array, rotations: Array, positions: Array, proposed: Array, trust: float
+    ) -> tuple[Array, float]:
+        """The better of two plans by the shared cost: the last one moved on, and one frame after the other."""
+        frames = len(rotations)
+        listen = np.zeros(frames)
+        listen[0] = trust * self._prior
+        heard = np.repeat(proposed[None], frames, axis=0)
+
+        def improved(x: Array) -> tuple[Array, float, Array]:
+            cost, residuals = self._descend_full(x, past, rotations, positions, self._ahead, heard, listen)
+            return x, cost, residuals
+
+        best: tuple[Array, float] | None = None
+        if self._plan is not None and len(self._plan) > 1:
+            known = self._plan[1 : frames + 1].copy()
+            kernels.keep_bounds(known, past[2], *self._bounds[:2], self._step)
+            x, cost, residuals = improved(self._extended(past, known, rotations, positions, proposed, trust))
+            best = (x, cost)
+            if float(np.abs(residuals).max()) <= _POOR_M:
+                return self._exact(best, past, rotations, positions)
+        fresh = self._extended(past, np.zeros((0, self.model.dof)), rotations, positions, proposed, trust)
+        x, cost, _ = improved(fresh)
+        if best is None or cost < best[1]:
+            best = (x, cost)
+        return self._exact(best, past, rotations, positions)
+
+    def _exact(
+        self, plan: tuple[Array, float], past: Array, rotations: Array, positions: Array
+    ) -> tuple[Array, float]:
+        x, cost = plan
+        pull = np.full(len(x), self._ahead_exactness)
+        self._descend(x, past, rotations, positions, self._ahead_exact, x.copy(), pull)
+        return x, cost
+
+    def _extended(
+        self, past: Array, known: Array, rotations: Array, positions: Array, proposed: Array, trust: float
+    ) -> Array:
+        """A plan (T, dof) that begins with the known frames and goes on one frame at a time."""
+        frames, kept = len(rotations), min(len(known), len(rotations))
+        x = np.empty((frames, self.model.dof))
+        x[:kept] = known[:kept]
+        history = np.concatenate([past, x[:kept]])[-3:]
+        for t in range(kept, frames):
+            row = slice(t, t + 1)
+            found, _ = self._one_frame(
+                history, rotations[row], positions[row], proposed, trust if t == 0 else 0.0
+            )
+            x[t] = found[0]
+            history = np.concatenate([history[1:], found])
+        return x
+
+    def _descend(self, *arguments: Array) -> float:
+        return self._descend_full(*arguments)[0]
+
+    def _descend_full(
+        self,
+        x: Array,
+        past: Array,
+        rotations: Array,
+        positions: Array,
+        weights: Array,
+        prior: Array,
+        prior_weight: Array,
+    ) -> tuple[float, Array]:
+        model = self.model
+
+        def descend(extra: tuple[Array, Array, Array]) -> tuple[float, Array]:
+            cost, residuals, _ = kernels.descend(
+                x, past, past[2], self._step, rotations, positions, model.chain, self._task, self._bounds,
+                model.unit, weights, self._posture, prior, prior_weight, model.spheres, model.pairs, self._zone,
+                extra, self.settings.iterations, _DAMPING, _GAIN,
+            )  # fmt: skip
+            return cost, residuals
+
+        if not self.terms:
+            return descend(NO_EXTRA)
+        return descend_with_terms(x, self.terms, descend)
+
+    # ---- prior --------------------------------------------------------------------------------------------------
+
+    def _trusted(
+        self, start: Array, rotation: Array, position: Array, target: Array, prior: Callable | None
+    ) -> tuple[Array, float]:
+        """The prior's command within the bounds, and the fraction of its weight that it earns.
+
+        It earns it by how well its own command meets the target: fully where it is met, half at a millimetre, and not at
+        all where the command leaves more than half of the way that the arm has to go.
+        """
+        if prior is None:
+            return start, 0.0
+        proposed = np.asarray(prior(start.copy(), target.copy()), dtype=float)[None].copy()
+        kernels.keep_bounds(proposed, start, *self._bounds[:2], self._step)
+        scale = self._task[0]
+        left = float(np.linalg.norm(scale * self._left_over(proposed[0], target)))
+        way = float(np.linalg.norm(scale * self._left_over(start, target)))
+        if not left < _PROGRESS * way:
+            return start, 0.0
+        return proposed[0], (1.0 - left / (_PROGRESS * way)) / (1.0 + (left / _TRUSTED_M) ** 2)
+
+    # ---- collision ----------------------------------------------------------------------------------------------
+
+    def _kept_clear(self, start: Array, q: Array) -> Array:
+        """The command, or the furthest point on the way to it that keeps the gap between the arm's own bodies.
+
+        Kept is the margin, or the gap at the start where that is smaller; the start itself always keeps it.
+        """
+        model = self.model
+        if not len(model.pairs):
+            return q
+        gap = model.gap(q)[0]
+        margin = self.settings.collision_margin
+        if gap >= margin:
+            return q
+        least = min(margin, model.gap(start)[0])
+        if gap >= least:
+            return q
+        kept, low, high = start.copy(), 0.0, 1.0
+        for _ in range(_GUARD_HALVINGS):
+            middle = 0.5 * (low + high)
+            point = start + middle * (q - start)
+            if model.gap(point)[0] >= least:
+                kept, low = point, middle
+            else:
+                high = middle
+        return kept
+
+    # ---- certificate --------------------------------------------------------------------------------------------
+
+    def _left_over(self, q: Array, target: Array) -> Array:
+        """Pose error (6,) [m, rad] beyond the task's tolerances on its axes; 0 on free ones."""
+        return kernels.judge(q, target, self.model.chain, *self._task)[0]
+
+    def _reached(self, left: Array) -> bool:
+        given = self.settings
+        return (
+            math.hypot(*left[:3]) <= given.position_tolerance
+            and math.hypot(*left[3:]) <= given.rotation_tolerance
+        )
+
+    def _reached_errors(self, certificate: Certificate) -> bool:
+        """Whether the closest configuration meets the target."""
+        return certificate.reason in (Reason.STEP, Reason.SMOOTHNESS, Reason.COLLISION)
+
+    def _certify(self, start: Array, q: Array, target: Array, source: str) -> Certificate:
+        model = self.model
+        left, position_error, rotation_error = kernels.judge(q, target, model.chain, *self._task)
+        reached = self._reached(left)
+        gap, pair = model.gap(q)
+        margin = float(np.minimum(q - model.lower, model.upper - q).min())
+        why: _Why = (Reason.NONE, (), None, None) if reached else self._why(start, q, target, pair, gap)
+        reason, names, bodies, closest = why
+        value = smallest_singular(model, q)[0] if not reached else np.nan
+        return Certificate(
+            reached, reason, names, bodies, position_error, rotation_error, tuple(left.tolist()), closest, margin,
+            gap, value, source,
+        )  # fmt: skip
+
+    def _why(self, start: Array, q: Array, target: Array, pair: int, gap: float) -> _Why:
+        model, joints = self.model, self.model.description.joint_names
+        there = closest_configuration(model, start, target, self.settings.task)
+        closest = self._errors(there, target)
+        bound = np.abs(q - start) >= self.settings.max_step * (1 - 1e-6)
+        # Collisions are the reason where the arm is as close to itself as it may come.
+        near = gap < self.settings.collision_margin + 1e-4 or (
+            len(model.pairs) and model.gap(there)[0] < self.settings.collision_margin
+        )
+        if self.meets(there, target):
+            if near:
+                number = pair if gap < self.settings.collision_margin + 1e-4 else model.gap(there)[1]
+                return Reason.COLLISION, (), model.pair_names(number), closest
+            if bound.any() or np.abs(there - start).max() > self.settings.max_step:
+                return Reason.STEP, tuple(np.array(joints)[bound]), None, closest
+            return Reason.SMOOTHNESS, (), None, closest
+        limited = at_limits(model, there)
+        if limited.any():
+            return Reason.LIMIT, tuple(np.array(joints)[limited]), None, closest
+        if is_singular(model, there, self._left_over(there, target)):
+            return Reason.SINGULAR, (), None, closest
+        return Reason.REACH, (), None, closest
+
+    def _errors(self, q: Array, target: Array) -> tuple[float, float]:
+        """Errors of joints (dof,) against a target (7,), tolerances not counted [m, rad]."""
+        return kernels.judge(q, target, self.model.chain, *self._task)[1:]
+
+    # ---- memory -------------------------------------------------------------------------------------------------
+
+    def _remember(self, start: Array) -> Array:
+        """The last three commands (3, dof), the last one `start`: moved along where the arm was elsewhere."""
+        if self._past is None:
+            self.reset(start)
+        assert self._past is not None
+        if np.array_equal(self._past[2], start):
+            return self._past
+        return self._past + (start - self._past[2])
+
+    def _remembered(self, past: Array, solution: Solution) -> Solution:
+        self._past = np.concatenate([past[1:], solution.q[None]])
+        return solution
+
+    def _on_the_way(self, past: Array, goal: Array, target: Array) -> Solution:
+        start = past[2]
+        step = np.abs(goal - start) / self._step
+        q = goal if step.max() <= 1 else start + (goal - start) / step.max()
+        q = self._kept_clear(start, q)
+        if step.max() <= 1:
+            self._branch.cancel()
+        self._plan = None
+        found = self._certify(start, q, target, "branch")
+        # History lies in the branch that is being left: the arm begins anew at every frame of the way.
+        solution = Solution(q, found, q[None], np.nan, 0.0, True)
+        self._past = np.stack([q] * 3)
+        return solution
+
+
+def _constrained(settings: GuidanceSettings) -> int:
+    """Number of axes of the tool that the task holds."""
+    return sum(weight > 0 for weight in settings.task.weight)

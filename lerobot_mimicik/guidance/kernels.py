@@ -1,0 +1,702 @@
+"""The compiled core of guidance: one bounded least-squares problem over one frame or several.
+
+Joints of T frames, X (T, n), minimise
+
+    sum_t  |W e_t|^2                                  pose, with dead zones per axis
+         + sum_j u_j^2 ( wv (x_t - x_{t-1})^2 + wa (x_t - 2 x_{t-1} + x_{t-2})^2 + wj (third difference)^2
+                       + wn_t (x_t - prior_t)^2 + wp (x_t - posture)^2 )
+         + wb sum_j h_j^2                             h: how far a joint is inside the margin of a limit, as a fraction
+         + wc sum_p g_p^2                             g: how far a pair of spheres is inside the clearance, as a fraction
+
+over the box of joint limits and of at most `max_step` from frame to frame, by Levenberg-Marquardt steps with an
+active set. Everything is numba in nopython mode, compiled once per machine and then read from numba's cache; no
+kernel allocates anything that outlives its call.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+_jit = njit(cache=True, fastmath=False, error_model="numpy")
+
+# Order of the weights that the kernels take as one array.
+VELOCITY, ACCELERATION, JERK, LIMITS, POSTURE, COLLISION = range(6)
+
+
+@_jit
+def walk(q, step_rotations, step_positions, columns, prismatic, rotations, positions):
+    """Frames of all bodies: fills `rotations` (n + 1, 3, 3) and `positions` (n + 1, 3); body 0 is the base."""
+    n = len(columns)
+    for a in range(3):
+        positions[0, a] = 0.0
+        for b in range(3):
+            rotations[0, a, b] = 1.0 if a == b else 0.0
+    for i in range(n):
+        r, p = rotations[i], positions[i]
+        s, o = step_rotations[i], step_positions[i]
+        t, d = rotations[i + 1], positions[i + 1]
+        for a in range(3):
+            for b in range(3):
+                t[a, b] = r[a, 0] * s[0, b] + r[a, 1] * s[1, b] + r[a, 2] * s[2, b]
+            d[a] = p[a] + r[a, 0] * o[0] + r[a, 1] * o[1] + r[a, 2] * o[2]
+        value = q[columns[i]]
+        if prismatic[i]:
+            for a in range(3):
+                d[a] += t[a, 2] * value
+        else:
+            sine, cosine = math.sin(value), math.cos(value)
+            for a in range(3):
+                x, y = t[a, 0], t[a, 1]
+                t[a, 0] = x * cosine + y * sine
+                t[a, 1] = y * cosine - x * sine
+
+
+@_jit
+def tool_pose(rotations, positions, tool_rotation, tool_position, rotation, position):
+    """Fill the tool's `rotation` (3, 3) and `position` (3,) from the frames of the bodies."""
+    r, p = rotations[-1], positions[-1]
+    for a in range(3):
+        for b in range(3):
+            rotation[a, b] = (
+                r[a, 0] * tool_rotation[0, b] + r[a, 1] * tool_rotation[1, b] + r[a, 2] * tool_rotation[2, b]
+            )
+        position[a] = (
+            p[a] + r[a, 0] * tool_position[0] + r[a, 1] * tool_position[1] + r[a, 2] * tool_position[2]
+        )
+
+
+@_jit
+def point_jacobian(rotations, positions, columns, prismatic, body, point, jacobian):
+    """Fill the linear Jacobian (3, n) of a `point` (3,) of the base frame that the body numbered `body` carries."""
+    jacobian[:, :] = 0.0
+    for i in range(body):
+        j = columns[i]
+        x, y, z = rotations[i + 1, 0, 2], rotations[i + 1, 1, 2], rotations[i + 1, 2, 2]
+        if prismatic[i]:
+            jacobian[0, j], jacobian[1, j], jacobian[2, j] = x, y, z
+            continue
+        ax = point[0] - positions[i + 1, 0]
+        ay = point[1] - positions[i + 1, 1]
+        az = point[2] - positions[i + 1, 2]
+        jacobian[0, j] = y * az - z * ay
+        jacobian[1, j] = z * ax - x * az
+        jacobian[2, j] = x * ay - y * ax
+
+
+@_jit
+def pose_difference(rotation, position, target_rotation, target_position, error):
+    """Fill `error` (6,): position difference [m] and rotation vector of R_target R^T [rad], base frame."""
+    for a in range(3):
+        error[a] = target_position[a] - position[a]
+    e = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            e[a, b] = (
+                target_rotation[a, 0] * rotation[b, 0]
+                + target_rotation[a, 1] * rotation[b, 1]
+                + target_rotation[a, 2] * rotation[b, 2]
+            )
+    x, y, z = e[2, 1] - e[1, 2], e[0, 2] - e[2, 0], e[1, 0] - e[0, 1]
+    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (e[0, 0] + e[1, 1] + e[2, 2] - 1.0)
+    angle = math.atan2(sine, cosine)
+    if sine > 1e-7:
+        scale = 0.5 * angle / sine
+        error[3], error[4], error[5] = scale * x, scale * y, scale * z
+    elif cosine > 0.0:
+        error[3], error[4], error[5] = 0.5 * x, 0.5 * y, 0.5 * z
+    else:
+        # Half a turn: the axis is the column of R + I that is longest.
+        best, length = 0, -1.0
+        for b in range(3):
+            size = e[b, b] + 1.0
+            if size > length:
+                best, length = b, size
+        norm = 0.0
+        for a in range(3):
+            error[3 + a] = e[a, best] + (1.0 if a == best else 0.0)
+            norm += error[3 + a] * error[3 + a]
+        norm = math.sqrt(norm)
+        for a in range(3):
+            error[3 + a] *= angle / norm
+
+
+@_jit
+def weigh(error, target_rotation, weight, tolerance, tool_axes, residual, row_scale):
+    """Dead zone and weight per axis: fills `residual` (6,) and `row_scale` (6,), the factor of its Jacobian's row.
+
+    Where `tool_axes`, the axes are those of the target's frame, otherwise the base's.
+    """
+    for block in range(2):
+        for a in range(3):
+            value = 0.0
+            if tool_axes:
+                for b in range(3):
+                    value += target_rotation[b, a] * error[3 * block + b]
+            else:
+                value = error[3 * block + a]
+            k = 3 * block + a
+            bound = tolerance[k]
+            if value > bound:
+                residual[k] = weight[k] * (value - bound)
+                row_scale[k] = weight[k]
+            elif value < -bound:
+                residual[k] = weight[k] * (value + bound)
+                row_scale[k] = weight[k]
+            else:
+                residual[k] = 0.0
+                row_scale[k] = 0.0
+
+
+@_jit
+def cholesky_solve(h, g, band, d):
+    """Solve the banded symmetric positive definite h d = g in place; False where it is not positive."""
+    n = len(g)
+    for j in range(n):
+        first = max(0, j - band)
+        for k in range(first, j):
+            if h[j, k] != 0.0:
+                w = h[j, k]
+                for i in range(j, min(n, k + band + 1)):
+                    h[i, j] -= h[i, k] * w
+        pivot = h[j, j]
+        if not pivot > 0.0:
+            return False
+        root = math.sqrt(pivot)
+        for i in range(j, min(n, j + band + 1)):
+            h[i, j] /= root
+    for i in range(n):
+        value = g[i]
+        for k in range(max(0, i - band), i):
+            value -= h[i, k] * d[k]
+        d[i] = value / h[i, i]
+    for i in range(n - 1, -1, -1):
+        value = d[i]
+        for k in range(i + 1, min(n, i + band + 1)):
+            value -= h[k, i] * d[k]
+        d[i] = value / h[i, i]
+    return True
+
+
+@_jit
+def bounded_newton(h, g, x, lower, upper, band, d, work, passes):
+    """The step d (N,) of the model 1/2 d'h d - g'd with lower <= x + d <= upper, by an active set.
+
+    Variables at a bound that the gradient presses against are fixed; those that the solution of the others would
+    carry over a bound are put onto it and fixed too, `passes` times at most.
+    """
+    n = len(g)
+    fixed = np.zeros(n, dtype=np.bool_)
+    rhs = np.empty(n)
+    for i in range(n):
+        d[i] = 0.0
+        if (x[i] <= lower[i] and g[i] < 0.0) or (x[i] >= upper[i] and g[i] > 0.0):
+            fixed[i] = True
+    target = np.empty(n)
+    for _ in range(passes):
+        for i in range(n):
+            for k in range(max(0, i - band), i + 1):
+                work[i, k] = h[i, k]
+            rhs[i] = g[i]
+        for i in range(n):
+            if not fixed[i]:
+                continue
+            for k in range(max(0, i - band), min(n, i + band + 1)):
+                if not fixed[k]:
+                    rhs[k] -= (h[i, k] if i >= k else h[k, i]) * d[i]
+        for i in range(n):
+            if fixed[i]:
+                for k in range(max(0, i - band), i):
+                    work[i, k] = 0.0
+                for k in range(i + 1, min(n, i + band + 1)):
+                    work[k, i] = 0.0
+                work[i, i] = 1.0
+                rhs[i] = d[i]
+        if not cholesky_solve(work, rhs, band, target):
+            return False
+        outside = False
+        for i in range(n):
+            if fixed[i]:
+                continue
+            d[i] = target[i]
+            if x[i] + d[i] < lower[i] - 1e-12:
+                d[i] = lower[i] - x[i]
+                fixed[i] = outside = True
+            elif x[i] + d[i] > upper[i] + 1e-12:
+                d[i] = upper[i] - x[i]
+                fixed[i] = outside = True
+        if not outside:
+            return True
+    return True
+
+
+@_jit
+def keep_bounds(x, start, lower, upper, max_step):
+    """Move every frame of `x` (T, n) into the limits and within a step of the frame before it."""
+    frames, n = x.shape
+    for t in range(frames):
+        for j in range(n):
+            before = start[j] if t == 0 else x[t - 1, j]
+            low, high = max(lower[j], before - max_step[j]), min(upper[j], before + max_step[j])
+            # Joints outside the limits come back by at most a step: the step is the stronger bound.
+            low, high = min(low, before + max_step[j]), max(high, before - max_step[j])
+            x[t, j] = min(max(x[t, j], low), high)
+
+
+@_jit
+def evaluate(
+    x,
+    past,
+    targets_rotation,
+    targets_position,
+    chain,
+    pose,
+    bounds,
+    unit,
+    weights,
+    posture,
+    prior,
+    prior_weight,
+    spheres,
+    pairs,
+    zone,
+    extra,
+    derivatives,
+    h,
+    g,
+    frames_rotation,
+    frames_position,
+    residuals,
+):
+    """Cost of a plan; with `derivatives`, also its gradient -g/2 and Gauss-Newton matrix (lower triangle, h).
+
+    Fills `residuals` (T, 6), the weighted pose residuals.
+    """
+    step_rotations, step_positions, columns, prismatic, tool_rotation, tool_position = chain
+    weight, tolerance, tool_axes = pose
+    lower, upper, margin = bounds
+    centres, radii, bodies = spheres
+    frames, n = x.shape
+    size = frames * n
+    if derivatives:
+        for i in range(size):
+            g[i] = 0.0
+            for k in range(i + 1):
+                h[i, k] = 0.0
+    rotation, position = np.empty((3, 3)), np.empty(3)
+    error, row_scale = np.empty(6), np.empty(6)
+    jacobian = np.empty((6, n))
+    rows = np.empty((6, n))
+    first, second = np.empty((3, n)), np.empty((3, n))
+    cost = 0.0
+    for t in range(frames):
+        walk(x[t], step_rotations, step_positions, columns, prismatic, frames_rotation, frames_position)
+        tool_pose(frames_rotation, frames_position, tool_rotation, tool_position, rotation, position)
+        pose_difference(rotation, position, targets_rotation[t], targets_position[t], error)
+        residual = residuals[t]
+        weigh(error, targets_rotation[t], weight, tolerance, tool_axes, residual, row_scale)
+        for k in range(6):
+            cost += residual[k] * residual[k]
+        base = t * n
+        if derivatives:
+            point_jacobian(frames_rotation, frames_position, columns, prismatic, n, position, jacobian[:3])
+            for i in range(n):
+                j = columns[i]
+                for a in range(3):
+                    jacobian[3 + a, j] = 0.0 if prismatic[i] else frames_rotation[i + 1, a, 2]
+            for block in range(2):
+                for a in range(3):
+                    k = 3 * block + a
+                    for j in range(n):
+                        if tool_axes:
+                            value = 0.0
+                            for b in range(3):
+                                value += targets_rotation[t, b, a] * jacobian[3 * block + b, j]
+                        else:
+                            value = jacobian[k, j]
+                        rows[k, j] = row_scale[k] * value
+            for j in range(n):
+                value = 0.0
+                for k in range(6):
+                    value += rows[k, j] * residual[k]
+                g[base + j] += value
+                for i in range(j + 1):
+                    value = 0.0
+                    for k in range(6):
+                        value += rows[k, j] * rows[k, i]
+                    h[base + j, base + i] += value
+        # Limits.
+        for j in range(n):
+            m = margin[j]
+            if not m > 0.0:
+                continue
+            inside = 0.0
+            if x[t, j] < lower[j] + m:
+                inside = (lower[j] + m - x[t, j]) / m
+            elif x[t, j] > upper[j] - m:
+                inside = -(x[t, j] - (upper[j] - m)) / m
+            if inside != 0.0:
+                cost += weights[LIMITS] * inside * inside
+                if derivatives:
+                    g[base + j] += weights[LIMITS] * inside / m
+                    h[base + j, base + j] += weights[LIMITS] / (m * m)
+        # Self-collision.
+        if len(pairs) and weights[COLLISION] > 0.0:
+            for p in range(len(pairs)):
+                a, b = pairs[p, 0], pairs[p, 1]
+                ca, cb = centres[a], centres[b]
+                ra, rb = frames_rotation[bodies[a]], frames_rotation[bodies[b]]
+                pa, pb = frames_position[bodies[a]], frames_position[bodies[b]]
+                d0 = (pa[0] + ra[0, 0] * ca[0] + ra[0, 1] * ca[1] + ra[0, 2] * ca[2]) - (
+                    pb[0] + rb[0, 0] * cb[0] + rb[0, 1] * cb[1] + rb[0, 2] * cb[2]
+                )
+                d1 = (pa[1] + ra[1, 0] * ca[0] + ra[1, 1] * ca[1] + ra[1, 2] * ca[2]) - (
+                    pb[1] + rb[1, 0] * cb[0] + rb[1, 1] * cb[1] + rb[1, 2] * cb[2]
+                )
+                d2 = (pa[2] + ra[2, 0] * ca[0] + ra[2, 1] * ca[1] + ra[2, 2] * ca[2]) - (
+                    pb[2] + rb[2, 0] * cb[0] + rb[2, 1] * cb[1] + rb[2, 2] * cb[2]
+                )
+                near = radii[a] + radii[b] + zone[0]
+                square = d0 * d0 + d1 * d1 + d2 * d2
+                if square >= near * near:
+                    continue
+                distance = math.sqrt(square)
+                gap = (near - distance) / zone[1]
+                cost += weights[COLLISION] * gap * gap
+                if derivatives and distance > 1e-9:
+                    point = np.empty(3)
+                    for k in range(3):
+                        point[k] = pa[k] + ra[k, 0] * ca[0] + ra[k, 1] * ca[1] + ra[k, 2] * ca[2]
+                    point_jacobian(
+                        frames_rotation, frames_position, columns, prismatic, bodies[a], point, first
+                    )
+                    for k in range(3):
+                        point[k] = pb[k] + rb[k, 0] * cb[0] + rb[k, 1] * cb[1] + rb[k, 2] * cb[2]
+                    point_jacobian(
+                        frames_rotation, frames_position, columns, prismatic, bodies[b], point, second
+                    )
+                    for j in range(n):
+                        slope = (
+                            d0 * (first[0, j] - second[0, j])
+                            + d1 * (first[1, j] - second[1, j])
+                            + d2 * (first[2, j] - second[2, j])
+                        ) / (distance * zone[1])
+                        g[base + j] += weights[COLLISION] * gap * slope
+                        rows[0, j] = slope
+                    for j in range(n):
+                        for i in range(j + 1):
+                            h[base + j, base + i] += weights[COLLISION] * rows[0, j] * rows[0, i]
+        # What pulls joint by joint: velocity, acceleration, jerk, prior, posture.
+        for j in range(n):
+            uu = unit[j] * unit[j]
+            x0 = x[t, j]
+            x1 = x[t - 1, j] if t >= 1 else past[2, j]
+            x2 = x[t - 2, j] if t >= 2 else past[t + 1, j]
+            x3 = x[t - 3, j] if t >= 3 else past[t, j]
+            v, a, jk = x0 - x1, x0 - 2.0 * x1 + x2, x0 - 3.0 * x1 + 3.0 * x2 - x3
+            wv, wa, wj = uu * weights[VELOCITY], uu * weights[ACCELERATION], uu * weights[JERK]
+            wn, wp = uu * prior_weight[t], uu * weights[POSTURE]
+            dn, dp = x0 - prior[t, j], x0 - posture[j]
+            cost += wv * v * v + wa * a * a + wj * jk * jk + wn * dn * dn + wp * dp * dp
+            if not derivatives:
+                continue
+            i0 = base + j
+            g[i0] -= wv * v + wa * a + wj * jk + wn * dn + wp * dp
+            h[i0, i0] += wv + wa + wj + wn + wp
+            if t >= 1:
+                i1 = i0 - n
+                g[i1] += wv * v + 2.0 * wa * a + 3.0 * wj * jk
+                h[i1, i1] += wv + 4.0 * wa + 9.0 * wj
+                h[i0, i1] -= wv + 2.0 * wa + 3.0 * wj
+            if t >= 2:
+                i2 = i0 - 2 * n
+                g[i2] -= wa * a + 3.0 * wj * jk
+                h[i2, i2] += wa + 9.0 * wj
+                h[i0, i2] += wa + 3.0 * wj
+                h[i0 - n, i2] -= 2.0 * wa + 9.0 * wj
+            if t >= 3:
+                i3 = i0 - 3 * n
+                g[i3] += wj * jk
+                h[i3, i3] += wj
+                h[i0, i3] -= wj
+                h[i0 - n, i3] += 3.0 * wj
+                h[i0 - 2 * n, i3] -= 3.0 * wj
+    extra_matrix, extra_slope, extra_reference = extra
+    if len(extra_slope):
+        # A user's terms as a quadratic about a reference: c - 2 s'(x - r) + (x - r)'M (x - r), without c.
+        for t in range(frames):
+            for j in range(n):
+                i = t * n + j
+                moved = 0.0
+                for s in range(frames):
+                    for k in range(n):
+                        moved += extra_matrix[i, s * n + k] * (x[s, k] - extra_reference[s * n + k])
+                cost += (x[t, j] - extra_reference[i]) * (moved - 2.0 * extra_slope[i])
+                if derivatives:
+                    g[i] += extra_slope[i] - moved
+                    for k in range(i + 1):
+                        h[i, k] += extra_matrix[i, k]
+    return cost
+
+
+@_jit
+def descend(
+    x,
+    past,
+    start,
+    max_step,
+    targets_rotation,
+    targets_position,
+    chain,
+    pose,
+    bounds,
+    unit,
+    weights,
+    posture,
+    prior,
+    prior_weight,
+    spheres,
+    pairs,
+    zone,
+    extra,
+    iterations,
+    damping,
+    gain,
+):
+    """Improve the plan `x` (T, n) in place; it must keep the bounds, and every accepted one does.
+
+    Args:
+        x: where to begin.
+        past: the last three commands (3, n), oldest first; the last is what the first step starts from.
+        start: that one.
+        iterations: most steps.
+        damping: Levenberg-Marquardt damping as a multiple of the squared pose residual of the frame (Sugihara 2011).
+        gain: fraction of the cost that a step must gain for another one to follow.
+
+    Returns:
+        cost, residuals (T, 6), steps taken.
+    """
+    frames, n = x.shape
+    size = frames * n
+    lower, upper, _ = bounds
+    h, work = np.zeros((size, size)), np.zeros((size, size))
+    g, d, flat = np.empty(size), np.empty(size), np.empty(size)
+    low, high = np.empty(size), np.empty(size)
+    residuals, tried_residuals = np.empty((frames, 6)), np.empty((frames, 6))
+    rotations, positions = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    tried = np.empty((frames, n))
+    # Blocks of n couple with the three before them at most; row i of a block reaches to that block's first column.
+    coupled = 0 if frames == 1 else (3 if weights[JERK] > 0.0 else 2)
+    band = size - 1 if len(extra[1]) else min(size - 1, coupled * n + n - 1)
+    cost = evaluate(
+        x,
+        past,
+        targets_rotation,
+        targets_position,
+        chain,
+        pose,
+        bounds,
+        unit,
+        weights,
+        posture,
+        prior,
+        prior_weight,
+        spheres,
+        pairs,
+        zone,
+        extra,
+        True,
+        h,
+        g,
+        rotations,
+        positions,
+        residuals,
+    )
+    taken = 0
+    fresh = True
+    for _ in range(iterations):
+        if not fresh:
+            cost = evaluate(
+                x,
+                past,
+                targets_rotation,
+                targets_position,
+                chain,
+                pose,
+                bounds,
+                unit,
+                weights,
+                posture,
+                prior,
+                prior_weight,
+                spheres,
+                pairs,
+                zone,
+                extra,
+                True,
+                h,
+                g,
+                rotations,
+                positions,
+                residuals,
+            )
+            fresh = True
+        for t in range(frames):
+            square = 0.0
+            for k in range(6):
+                square += residuals[t, k] * residuals[t, k]
+            for j in range(n):
+                i = t * n + j
+                h[i, i] += damping * square + 1e-9 * unit[j] * unit[j]
+                flat[i] = x[t, j]
+                if t == 0:
+                    lo, hi = max(lower[j], start[j] - max_step[j]), min(upper[j], start[j] + max_step[j])
+                    low[i], high[i] = min(lo, start[j] + max_step[j]), max(hi, start[j] - max_step[j])
+                else:
+                    low[i], high[i] = min(lower[j], x[t, j]), max(upper[j], x[t, j])
+        if not bounded_newton(h, g, flat, low, high, band, d, work, n + 1 if frames == 1 else 3):
+            break
+        for t in range(frames):
+            for j in range(n):
+                tried[t, j] = x[t, j] + d[t * n + j]
+        keep_bounds(tried, start, lower, upper, max_step)
+        after = evaluate(
+            tried,
+            past,
+            targets_rotation,
+            targets_position,
+            chain,
+            pose,
+            bounds,
+            unit,
+            weights,
+            posture,
+            prior,
+            prior_weight,
+            spheres,
+            pairs,
+            zone,
+            extra,
+            False,
+            h,
+            g,
+            rotations,
+            positions,
+            tried_residuals,
+        )
+        if after < cost:
+            done = cost - after < gain * cost
+            x[:, :] = tried
+            residuals[:, :] = tried_residuals
+            cost = after
+            taken += 1
+            damping = max(damping / 4.0, 1e-6)
+            fresh = False
+            if done:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+            fresh = False
+    return cost, residuals, taken
+
+
+@_jit
+def sphere_gap(q, chain, spheres, pairs):
+    """Smallest gap between the pairs of spheres [m], infinite without pairs, and the number of that pair."""
+    step_rotations, step_positions, columns, prismatic, _, _ = chain
+    centres, radii, bodies = spheres
+    n = len(columns)
+    rotations, positions = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    walk(q, step_rotations, step_positions, columns, prismatic, rotations, positions)
+    placed = np.empty((len(radii), 3))
+    for s in range(len(radii)):
+        r, p, c = rotations[bodies[s]], positions[bodies[s]], centres[s]
+        for a in range(3):
+            placed[s, a] = p[a] + r[a, 0] * c[0] + r[a, 1] * c[1] + r[a, 2] * c[2]
+    smallest, which = np.inf, -1
+    for k in range(len(pairs)):
+        a, b = pairs[k, 0], pairs[k, 1]
+        square = 0.0
+        for i in range(3):
+            square += (placed[a, i] - placed[b, i]) ** 2
+        gap = math.sqrt(square) - radii[a] - radii[b]
+        if gap < smallest:
+            smallest, which = gap, k
+    return smallest, which
+
+
+@_jit
+def pose_and_jacobian(q, chain):
+    """Tool rotation (3, 3), position (3,) and geometric Jacobian (6, n), linear rows first, in the base frame."""
+    step_rotations, step_positions, columns, prismatic, tool_rotation, tool_position = chain
+    n = len(columns)
+    rotations, positions = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    walk(q, step_rotations, step_positions, columns, prismatic, rotations, positions)
+    rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, n))
+    tool_pose(rotations, positions, tool_rotation, tool_position, rotation, position)
+    point_jacobian(rotations, positions, columns, prismatic, n, position, jacobian[:3])
+    for i in range(n):
+        for a in range(3):
+            jacobian[3 + a, columns[i]] = 0.0 if prismatic[i] else rotations[i + 1, a, 2]
+    return rotation, position, jacobian
+
+
+@_jit
+def rotation_of(quaternion, rotation):
+    """Fill `rotation` (3, 3) of a unit quaternion x y z w."""
+    x, y, z, w = quaternion
+    rotation[0, 0], rotation[0, 1], rotation[0, 2] = (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - z * w),
+        2 * (x * z + y * w),
+    )
+    rotation[1, 0], rotation[1, 1], rotation[1, 2] = (
+        2 * (x * y + z * w),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - x * w),
+    )
+    rotation[2, 0], rotation[2, 1], rotation[2, 2] = (
+        2 * (x * z - y * w),
+        2 * (y * z + x * w),
+        1 - 2 * (x * x + y * y),
+    )
+
+
+@_jit
+def split_poses(poses):
+    """Rotations (T, 3, 3) and positions (T, 3) of poses (T, 7) with unit quaternions."""
+    frames = len(poses)
+    rotations, positions = np.empty((frames, 3, 3)), np.empty((frames, 3))
+    for t in range(frames):
+        positions[t] = poses[t, :3]
+        rotation_of(poses[t, 3:], rotations[t])
+    return rotations, positions
+
+
+@_jit
+def judge(q, target, chain, weight, tolerance, tool_axes):
+    """What a configuration leaves of a target (7,).
+
+    Returns:
+        Error (6,) beyond the tolerances, 0 on free axes [m, rad]; position error [m]; rotation error [rad].
+    """
+    step_rotations, step_positions, columns, prismatic, tool_rotation, tool_position = chain
+    n = len(columns)
+    rotations, positions = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
+    walk(q, step_rotations, step_positions, columns, prismatic, rotations, positions)
+    rotation, position, goal = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    tool_pose(rotations, positions, tool_rotation, tool_position, rotation, position)
+    rotation_of(target[3:], goal)
+    error, left, scale, counted = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    pose_difference(rotation, position, goal, target[:3], error)
+    for k in range(6):
+        counted[k] = 1.0 if weight[k] > 0.0 else 0.0
+    weigh(error, goal, counted, tolerance, tool_axes, left, scale)
+    distance = math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
+    angle = math.sqrt(error[3] ** 2 + error[4] ** 2 + error[5] ** 2)
+    return left, distance, angle

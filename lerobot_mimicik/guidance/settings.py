@@ -1,0 +1,120 @@
+"""What guidance weighs, and how much: costs, bounds and tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PoseTask:
+    """Which part of a target pose counts, axis by axis.
+
+    Attributes:
+        weight: Of translation x y z and rotation x y z, 6 numbers; 0 leaves an axis free.
+        tolerance: How far each axis may be off at no cost [m, rad], 6 numbers.
+        frame: `base`, or `tool` for axes of the target's own frame.
+    """
+
+    weight: tuple[float, ...] = (1.0,) * 6
+    tolerance: tuple[float, ...] = (0.0,) * 6
+    frame: str = "base"
+
+    def __post_init__(self) -> None:
+        for name in ("weight", "tolerance"):
+            values = tuple(float(value) for value in getattr(self, name))
+            if len(values) != 6 or not all(np.isfinite(values)) or min(values) < 0:
+                raise ValueError(f"{name}: expected 6 finite numbers that are not negative, found {values}")
+            object.__setattr__(self, name, values)
+        if self.frame not in ("base", "tool"):
+            raise ValueError(f"frame={self.frame!r}: expected 'base' or 'tool'")
+        if not any(self.weight):
+            raise ValueError("weight: all axes are free; at least one must count")
+
+
+@dataclass(frozen=True)
+class GuidanceSettings:
+    """Weights, bounds and tolerances of `Guidance`.
+
+    Weights are relative to the pose error, squared, in units of the arm's reach; joints count in rad. The defaults
+    were chosen on generated teleoperation of one arm and hold for others, as `docs/results.md` shows.
+
+    Attributes:
+        max_step: Largest joint motion from frame to frame [rad; m where a joint slides].
+        position_tolerance, rotation_tolerance: Errors of a target that counts as reached [m, rad].
+        velocity, acceleration: Weights of the first and second difference of the joints, one frame at a time.
+        exactness: Weight of the second pass, which starts from the first's answer, is pulled to it with this weight, and
+            has no other (iterated Tikhonov regularisation): small is exact, large keeps the first pass's smoothness.
+        clearance, clearance_width, clearance_fraction: Weight of keeping off the limits, and how far off: so many rad, at
+            most that fraction of the joint's range.
+        ahead_velocity, ahead_jerk: Weights of the first and third difference where the next targets are known.
+        ahead_exactness: Weight of its second pass.
+        smoothness: Multiplies `ahead_jerk`.
+        horizon: Most frames that are planned at once.
+        posture: Weight of the pull to a posture, for arms with joints to spare; 0 on arms of up to six.
+        prior: Weight of a trusted prior.
+        collision: Weight of keeping the arm's bodies apart.
+        collision_margin: Gap between bodies that no command lowers, where one exists that does not [m].
+        collision_zone: Gap below which bodies push each other apart [m].
+        branch_distance: Largest joint motion of a change to another branch of the inverse kinematics [rad]; 0: none.
+        branch_detour: How much further from the target than by staying the tool may come meanwhile [m].
+        iterations: Most descent steps per pass.
+        task: Which part of a target counts.
+    """
+
+    max_step: float = 0.095
+    position_tolerance: float = 0.002
+    rotation_tolerance: float = 0.02
+    velocity: float = 7e-4
+    acceleration: float = 7e-4
+    exactness: float = 9e-4
+    clearance: float = 3.5e-5
+    clearance_width: float = 0.8
+    clearance_fraction: float = 0.25
+    ahead_velocity: float = 1.7e-3
+    ahead_jerk: float = 9e-3
+    ahead_exactness: float = 5e-4
+    smoothness: float = 1.0
+    horizon: int = 8
+    posture: float = 1e-5
+    prior: float = 1e-3
+    collision: float = 1e-3
+    collision_margin: float = 0.005
+    collision_zone: float = 0.02
+    branch_distance: float = 3.6
+    branch_detour: float = 0.02
+    iterations: int = 6
+    task: PoseTask = PoseTask()
+
+    def __post_init__(self) -> None:
+        if isinstance(self.task, Mapping):  # read from JSON
+            object.__setattr__(self, "task", PoseTask(**self.task))
+        positive = (
+            "max_step",
+            "position_tolerance",
+            "rotation_tolerance",
+            "iterations",
+            "horizon",
+            "collision_zone",
+        )
+        for each in fields(self):
+            value: Any = getattr(self, each.name)
+            if isinstance(value, str | PoseTask):
+                continue
+            if not np.isfinite(value) or value < 0 or (each.name in positive and not value > 0):
+                wanted = "positive" if each.name in positive else "not negative"
+                raise ValueError(f"{each.name} must be finite and {wanted}, got {value}")
+        if self.collision_margin > self.collision_zone:
+            raise ValueError(
+                f"collision_margin={self.collision_margin} is above collision_zone={self.collision_zone}"
+            )
+
+    def but(self, **changes: Any) -> GuidanceSettings:
+        """These settings with some changed."""
+        return replace(self, **changes)
