@@ -6,6 +6,7 @@ Only the standard library is imported here.
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from pathlib import Path
 
 
@@ -70,3 +71,12 @@ def _similar(path: Path, alike: float = 0.6) -> list[str]:
     beside = _siblings(path)
     names = difflib.get_close_matches(path.name, [Path(each).name for each in beside], n=5, cutoff=alike)
     return [str(path.parent / name) for name in names]
+
+
+def datasets_in(folders: Sequence[Path]) -> tuple[Path, ...]:
+    """The folders that are datasets, and the datasets directly in those that are not."""
+    roots: list[Path] = []
+    for folder in folders:
+        inside = sorted(info.parent.parent for info in folder.glob("*/meta/info.json"))
+        roots += [folder] if (folder / "meta" / "info.json").is_file() or not inside else inside
+    return tuple(roots)

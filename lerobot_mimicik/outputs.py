@@ -43,7 +43,7 @@ _FILES: dict[str, tuple[str, ...]] = {
         "train/checkpoints/**",
     ),
     "benchmark": (
-        *("summary.json", "summary.tmp", "table.json", "table.md", "arm.urdf"),
+        *("summary.json", "summary.tmp", "table.json", "table.md", "report.html", "arm.urdf"),
         "figures/**",
         "anatomy/*.npz",
         "train/*/arguments.json",

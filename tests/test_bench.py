@@ -46,7 +46,7 @@ def made(tmp_path_factory):
         (root / "recipes" / name).write_text(json.dumps(recipe))
     options = [
         "bench", f"--train={train}", f"--datasets={test}", f"--recipes={root / 'recipes'}",
-        "--steps=4", "--latency_queries=3", "--device=cpu", f"--out={root / 'out'}",
+        "--steps=4", "--latency_queries=3", "--device=cpu", f"--output={root / 'out'}",
     ]  # fmt: skip
     assert main([*options, "--solvers=mlp,hold,test_not_installed", "--seeds=2"]) == 0
     return root / "out", options
@@ -76,7 +76,12 @@ def test_the_table_has_every_row_and_says_what_is_unavailable(made):
     assert "- hold: The command is the measured joints" in page
     assert list(outputs.strangers(out)) == []
     figures = {path.name for path in (out / "figures").iterdir()}
-    assert figures == {"errors_test.png", "errors_test.txt", "anatomy.png", "anatomy.txt"}
+    assert figures == {
+        "errors_test.png", "errors_test.txt", "anatomy.png", "anatomy.txt", "tradeoff.png", "failures.png",
+    }  # fmt: skip
+    html = (out / "report.html").read_text()
+    assert "test_not_installed is missing" in html
+    assert html.count("<figure>") == 4
     assert {path.name for path in (out / "anatomy").iterdir()} == {"mlp.npz", "hold.npz"}
 
 
@@ -137,7 +142,7 @@ def test_an_interrupted_training_goes_on_from_its_checkpoint(made, tmp_path):
     kept.write_text(kept.read_text().replace(str(out), str(again)))
     config = run / "checkpoints" / "000002" / "pretrained_model" / "train_config.json"
     config.write_text(config.read_text().replace(str(out), str(again)))
-    assert main([*options, f"--out={again}", "--solvers=mlp"]) == 0
+    assert main([*options, f"--output={again}", "--solvers=mlp"]) == 0
     assert training_process.last_step(run) == 4
     assert (again / "train" / "mlp-seed0" / "logs" / "train-000002.log").is_file()
 
@@ -162,7 +167,7 @@ def test_a_dataset_that_does_not_name_its_arm_needs_the_option(made, tmp_path, c
         f"--out={tmp_path / 'out'}",
     ]
     assert main(options) == 1
-    assert "--urdf" in capsys.readouterr().err
+    assert "--arm" in capsys.readouterr().err
     assert main([*options, "--urdf=airbot_play", "--modes=open_loop"]) == 0
 
 
@@ -173,6 +178,7 @@ def test_a_dataset_that_does_not_name_its_arm_needs_the_option(made, tmp_path, c
         ("--modes=half_open", "open_loop, closed_loop"),
         ("--seeds=0", "at least 1"),
         ("--train=", "--train"),
+        ("--datasets=", "--datasets is missing"),
         ("--steps=5", "was trained with other options"),
         ("--conditioning=paper", "was trained with other options"),
     ],

@@ -54,7 +54,11 @@ def test_the_report_has_all_rows_and_hold_among_them(made, capsys):
         ]
     )
     assert status == 0
-    assert "| hold | closed loop |" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "hold" in printed
+    assert "data, closed loop (24 frames)" in printed
+    assert max(map(len, printed.splitlines())) <= 100
+    assert "<h2>What happened</h2>" in (made / "out" / "report.html").read_text()
     report = json.loads((made / "out" / "report.json").read_text())
     assert [(row["solver"], row["mode"]) for row in report["rows"]] == [
         ("mimicik", "open_loop"),

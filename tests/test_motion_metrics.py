@@ -69,7 +69,7 @@ def test_the_clean_error_is_against_the_clean_target():
     assert set(row) == set(MOTION_KEYS)
 
 
-def out_and_back(frames=60, pulled_mm=300.0):
+def out_and_back(frames=120, pulled_mm=300.0):
     """A target that leaves frame by frame and is back after two thirds; the arm could have stayed where it was."""
     motion = trajectory(frames, speed=0.0)
     target = motion.target.copy()

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import draccus
 
-from lerobot_mimicik.cli.options import numbers, words
+from lerobot_mimicik.cli.options import numbers, renamed, words
 
-HELP = "Compare solvers: train the learned ones, measure all of them on recorded motion, write one table."
+if TYPE_CHECKING:
+    from lerobot_mimicik.evaluation.bench_run import BenchResult
+
+HELP = "Compare solvers: train the learned ones, measure all of them on recorded motion, write one page."
 
 
 @dataclass
 class BenchConfig:
     """Options of `mimicik bench`."""
 
-    # Folders of the LeRobot datasets to measure on, separated by commas.
+    # Folders of LeRobot datasets to measure on, or of several of them, separated by commas.
     datasets: str = ""
-    # Folder of the LeRobot dataset to train on, made by mimicik make-dataset: it names the arm.
+    # Folder of the LeRobot dataset to train on, made by mimicik make-dataset; needed for learned rows only.
     train: str = ""
     # The datasets' arm where they do not say: a shipped one (airbot_play, piper) or the path of a URDF.
-    urdf: str = ""
+    arm: str = ""
     # rad or deg: the datasets' joints.
     joint_units: str = "rad"
     # Target joints are the recorded action, or the next_state.
@@ -55,7 +60,9 @@ class BenchConfig:
     # Conditioning of all learned rows (relative, paper); empty: as the recipes say.
     conditioning: str = ""
     # Folder for everything that is made.
-    out: str = "outputs/bench"
+    output: str = "outputs/bench"
+    # File for the results as a Markdown document, such as docs/results.md; empty: none.
+    markdown: str = ""
     # Where to train and evaluate (cpu, cuda, mps); empty: what LeRobot finds.
     device: str = ""
     # Number of single queries timed for the latency.
@@ -64,37 +71,39 @@ class BenchConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command; 1 if a training failed."""
-    config = draccus.parse(BenchConfig, args=list(argv), prog="mimicik bench")
-    failed = run(config)
-    print((Path(config.out) / "table.md").read_text())
-    return int(failed)
+    arguments = renamed(argv, {"--out": "--output", "--urdf": "--arm"})
+    config = draccus.parse(BenchConfig, args=arguments, prog="mimicik bench")
+    result = run(config, command=shlex.join(["mimicik", "bench", *arguments]))
+    print(result.table)
+    print(f"Report: {result.page}; all columns: {config.output}/table.md")
+    return int(result.failed)
 
 
-def run(config: BenchConfig, progress: bool = True) -> bool:
-    """Train, measure and write; returns whether a training failed.
+def run(config: BenchConfig, progress: bool = True, command: str = "") -> BenchResult:
+    """Train, measure and write.
 
     Raises:
         ValueError: If an option does not fit, or a row was trained with other options before.
         FileNotFoundError: If a dataset or recipe does not exist.
     """
-    if not words(config.datasets) or not config.train:
-        raise ValueError("--datasets and --train are needed: folders of LeRobot datasets.")
-    from lerobot_mimicik.inputs import check_dataset, check_exists
+    from lerobot_mimicik.inputs import check_dataset, check_exists, datasets_in
     from lerobot_mimicik.kinematics.arms import describe_arm
 
-    for root in words(config.datasets):
-        check_dataset(root, "--datasets")
-    check_dataset(config.train, "--train")
+    roots = datasets_in([Path(root) for root in words(config.datasets)])
+    for root in roots:
+        check_dataset(str(root), "--datasets")
+    if config.train:
+        check_dataset(config.train, "--train")
     if config.recipes:
         check_exists(config.recipes, "--recipes")
-    if config.urdf:
-        describe_arm(config.urdf)
+    if config.arm:
+        describe_arm(config.arm)
     from lerobot_mimicik.evaluation.bench_run import BenchOptions, run_bench
 
     options = BenchOptions(
-        datasets=tuple(Path(root) for root in words(config.datasets)),
-        train=Path(config.train),
-        arm=config.urdf,
+        datasets=roots,
+        train=Path(config.train) if config.train else None,
+        arm=config.arm,
         joint_units=config.joint_units,
         target=config.target,
         state_joint_names=tuple(words(config.state_joint_names)),
@@ -109,8 +118,10 @@ def run(config: BenchConfig, progress: bool = True) -> bool:
         size=config.size,
         recipes=config.recipes,
         conditioning=config.conditioning,
-        out=Path(config.out),
+        out=Path(config.output),
         device=config.device,
         latency_queries=config.latency_queries,
+        markdown=Path(config.markdown) if config.markdown else None,
+        command=command,
     )
     return run_bench(options, asdict(config), progress)

@@ -126,7 +126,7 @@ def run(config: DemoConfig) -> Path:
     eval_config = EvalConfig(
         policy=PolicySource(str(output / "train")),
         dataset=DatasetSource(f"{data.test},{data.ood}"),
-        out=str(output / "eval"),
+        output=str(output / "eval"),
         seed=config.seed,
         device=config.device,
     )
@@ -137,7 +137,7 @@ def run(config: DemoConfig) -> Path:
     curves = training_process.read_curves(output / "logs", log_freq)
     eval_command = (
         f"mimicik eval --policy.path={output / 'train'} --dataset.root={data.test},{data.ood} "
-        f"--out={output / 'eval'}"
+        f"--output={output / 'eval'}"
     )
     return write_demo_report(
         output,

@@ -1,15 +1,17 @@
-"""`mimicik eval`: measures a checkpoint on recorded motion and writes report.json and report.md."""
+"""`mimicik eval`: measures a checkpoint on recorded motion and writes report.html, report.json and report.md."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import draccus
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.cli.options import join_repeated, numbers, words
+from lerobot_mimicik.cli.options import join_repeated, numbers, renamed, words
 
 if TYPE_CHECKING:
     from lerobot_mimicik.evaluation.evaluate import Evaluation
@@ -44,9 +46,9 @@ class EvalConfig:
     policy: PolicySource = field(default_factory=PolicySource)
     dataset: DatasetSource = field(default_factory=DatasetSource)
     # open_loop: recorded joints in at every frame. closed_loop: each command is the next measurement.
-    mode: str = "open_loop,closed_loop"
-    # Where report.json and report.md go.
-    out: str = "outputs/eval"
+    modes: str = "open_loop,closed_loop"
+    # Where report.html, report.json and report.md go.
+    output: str = "outputs/eval"
     # Rows of the table; hold (the arm does not move) is always among them. mimicik is the checkpoint of
     # --policy.path, and its row is named after its kind: mimicik, mimicik_nofk, mlp or unet_diffusion.
     solvers: str = "mimicik,hold"
@@ -66,21 +68,22 @@ class EvalConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    config = draccus.parse(EvalConfig, args=join_repeated(argv, "--dataset.root"), prog="mimicik eval")
+    arguments = renamed(argv, {"--out": "--output", "--mode": "--modes"})
+    config = draccus.parse(EvalConfig, args=join_repeated(arguments, "--dataset.root"), prog="mimicik eval")
     rows: list[dict[str, Any]] = []
-    run(config, rows=rows)
-    from lerobot_mimicik.evaluation.report import markdown_table
+    run(config, rows=rows, command=shlex.join(["mimicik", "eval", *arguments]))
+    from lerobot_mimicik.evaluation.short_table import measured, screen_table
 
-    print(markdown_table(rows))
-    for row in rows:
-        if row["verdict"] == "unavailable":
-            print(f"{row['solver']} is unavailable: {row['reason']}")
-    print(f"Report: {config.out}/report.json, {config.out}/report.md")
+    print(screen_table(*measured(rows)))
+    print(f"Report: {config.output}/report.html; all columns: {config.output}/report.md")
     return 0
 
 
 def run(
-    config: EvalConfig, progress: bool = True, rows: list[dict[str, Any]] | None = None
+    config: EvalConfig,
+    progress: bool = True,
+    rows: list[dict[str, Any]] | None = None,
+    command: str = "",
 ) -> list[Evaluation]:
     """Evaluate and write the report, after every row anew so that an interrupted run leaves what it has.
 
@@ -90,6 +93,7 @@ def run(
         config: What to do.
         progress: Whether to show bars.
         rows: Takes the rows of the report, those of unavailable solvers among them.
+        command: The command line, for the page.
 
     Raises:
         ValueError: If an option does not fit; the message names it and what exists.
@@ -105,13 +109,15 @@ def run(
     from lerobot_mimicik.checkpoints import LEARNED, kind_of, load_policy
     from lerobot_mimicik.evaluation.evaluate import evaluate, study
     from lerobot_mimicik.evaluation.report import unavailable_row, write_report
+    from lerobot_mimicik.evaluation.result_pages import write_eval_page
     from lerobot_mimicik.evaluation.rollouts import known_modes
+    from lerobot_mimicik.evaluation.short_table import measured
     from lerobot_mimicik.evaluation.trajectories import Layout, distinct_names, load_trajectories
     from lerobot_mimicik.kinematics.chain import SerialArm
     from lerobot_mimicik.publishing.hub import weights_digest
     from lerobot_mimicik.solvers import SolverUnavailable, known_solvers, make_solver
 
-    modes = _known(words(config.mode), known_modes(), "--mode")
+    modes = _known(words(config.modes), known_modes(), "--modes")
     names = _known(words(config.solvers), known_solvers(), "--solvers")
     names += [] if "hold" in names else ["hold"]
     learned = [name for name in names if name in LEARNED]
@@ -120,7 +126,7 @@ def run(
             raise ValueError(f"--solvers names {learned[0]}, but --policy.path is missing: which checkpoint?")
         names = [name for name in names if name not in learned]
         learned = []
-    outputs.claim(config.out, "report")
+    outputs.claim(config.output, "report")
     if config.threads:
         torch.set_num_threads(config.threads)
 
@@ -169,8 +175,9 @@ def run(
     ):
         evaluations.append(evaluation)
         rows.append(evaluation.row)
-        write_report(config.out, rows, recordings, settings)
-    write_report(config.out, rows, recordings, settings)
+        write_report(config.output, rows, recordings, settings)
+    write_report(config.output, rows, recordings, settings)
+    write_eval_page(Path(config.output), evaluations, arm.joint_names, measured(rows)[1], command)
     return evaluations
 
 

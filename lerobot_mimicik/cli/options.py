@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 
 
@@ -26,6 +27,17 @@ def underscored(argv: Sequence[str]) -> list[str]:
         arguments.append(
             f"--{name[2:].replace('-', '_')}{equals}{value}" if name.startswith("--") else argument
         )
+    return arguments
+
+
+def renamed(argv: Sequence[str], names: Mapping[str, str]) -> list[str]:
+    """The command line with old spellings of options replaced by the new ones, and a word about each on stderr."""
+    arguments = []
+    for argument in argv:
+        option, equals, value = argument.partition("=")
+        if option in names:
+            print(f"{option} is now written {names[option]}", file=sys.stderr)
+        arguments.append(f"{names.get(option, option)}{equals}{value}")
     return arguments
 
 

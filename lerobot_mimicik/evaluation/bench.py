@@ -137,11 +137,27 @@ def over_seeds(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, Any], dict[
             first[key] = float(np.mean(numbers)) if len(numbers) == len(rows) else None
             if first[key] is not None:
                 spread[key] = float(np.std(numbers, ddof=1))
+    # A row measured before there were failures has none.
+    if all("failures" in row for row in rows):
+        first["failures"] = dict(sum((Counter(row["failures"]) for row in rows), Counter[str]()))
+    first.pop("ci95", None)  # over recordings of one seed
     verdicts = Counter(row["verdict"] for row in rows)
     if len(verdicts) > 1:
         first["verdict"] = ", ".join(f"{name} {count}/{len(rows)}" for name, count in verdicts.most_common())
     first["seeds"] = len(rows)
     return first, spread
+
+
+def joined_seeds(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row for each dataset, mode and solver, in the order in which they first appear."""
+    return [row for row, _ in _over_groups(rows)]
+
+
+def _over_groups(rows: Sequence[dict[str, Any]]) -> list[tuple[dict[str, Any], dict[str, float]]]:
+    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["dataset"], row["mode"], row["solver"]), []).append(row)
+    return [over_seeds(group) for group in groups.values()]
 
 
 def write_table(
@@ -164,10 +180,7 @@ def write_table(
         notes: Sentences on the datasets.
         configurations: How each row is configured and after what, by its name.
     """
-    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
-    for row in rows:
-        groups.setdefault((row["dataset"], row["mode"], row["solver"]), []).append(row)
-    table = [over_seeds(group) for group in groups.values()]
+    table = _over_groups(rows)
     missing = [unavailable_row(name, reason) for name, reason in unavailable.items()]
     shown = [row for row, _ in table] + missing
     spreads = [spread for _, spread in table] + [{} for _ in missing]

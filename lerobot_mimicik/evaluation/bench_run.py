@@ -7,6 +7,7 @@ Everything is kept in the output folder, and another run goes on where the last 
     anatomy/<row>.npz      its commands through singularities and out of reach
     table.json, table.md   the rows asked for, learned ones over their seeds
     figures/               the same as PNG, a caption beside each
+    report.html            what happened in words, a short table, figures: one file
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from lerobot_mimicik import outputs
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.data.writer import ARM_FILE, read_arm_json
 from lerobot_mimicik.evaluation.anatomy import Ordeal, load_commands, make_ordeals, save_commands, undergo
-from lerobot_mimicik.evaluation.bench import LearnedRow, Summary, learned_names, write_table
+from lerobot_mimicik.evaluation.bench import LearnedRow, Summary, joined_seeds, learned_names, write_table
 from lerobot_mimicik.evaluation.bench_plots import plot_anatomy, plot_errors, plot_fk_weights, plot_seeds
 from lerobot_mimicik.evaluation.bench_training import prepare_trainings, train_row
 from lerobot_mimicik.evaluation.evaluate import Recording, evaluate_one, study
@@ -31,7 +32,9 @@ from lerobot_mimicik.evaluation.latency import measure_latency
 from lerobot_mimicik.evaluation.metrics import measure
 from lerobot_mimicik.evaluation.plots import Plot
 from lerobot_mimicik.evaluation.report import describe_recording
+from lerobot_mimicik.evaluation.result_pages import check_document, results_markdown, write_bench_page
 from lerobot_mimicik.evaluation.rollouts import known_modes
+from lerobot_mimicik.evaluation.short_table import screen_table
 from lerobot_mimicik.evaluation.trajectories import (
     Layout,
     distinct_names,
@@ -49,7 +52,7 @@ class BenchOptions:
 
     Attributes:
         datasets: Folders of the LeRobot datasets to measure on.
-        train: Folder of the LeRobot dataset to train on; it names the arm.
+        train: Folder of the LeRobot dataset to train on; None where no row is trained.
         arm: A shipped arm or the path of a URDF, where the datasets do not name it.
         joint_units, target, state_joint_names: As in `Layout`; of the action too.
         train_episodes, episodes: Episodes to train and to measure on; empty: all of them.
@@ -65,10 +68,12 @@ class BenchOptions:
         out: Folder for everything that is made.
         device: Where to train and evaluate; empty: what LeRobot finds.
         latency_queries: Number of single queries timed for the latency.
+        markdown: File for the results as a Markdown document; None writes none.
+        command: The command line, for page and document.
     """
 
     datasets: tuple[Path, ...]
-    train: Path
+    train: Path | None = None
     arm: str = ""
     joint_units: str = "rad"
     target: str = "action"
@@ -87,6 +92,23 @@ class BenchOptions:
     out: Path = Path("outputs/bench")
     device: str = ""
     latency_queries: int = 200
+    markdown: Path | None = None
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class BenchResult:
+    """What a benchmark came to.
+
+    Attributes:
+        failed: Whether a training failed.
+        table: The short table, for a screen.
+        page: The page's path.
+    """
+
+    failed: bool
+    table: str
+    page: Path
 
 
 @dataclass(frozen=True)
@@ -109,8 +131,8 @@ def run_bench(
     settings: Mapping[str, Any],
     progress: bool = True,
     say: Callable[[str], None] = print,
-) -> bool:
-    """Train, measure and write; returns whether a training failed.
+) -> BenchResult:
+    """Train, measure and write.
 
     Args:
         options: What to do.
@@ -125,6 +147,8 @@ def run_bench(
     """
     rows = _checked(options)
     description = _arm(options)
+    if options.markdown is not None:
+        check_document(options.markdown)
     outputs.claim(options.out, "benchmark")
     trainings = prepare_trainings(options, description, [row for row in rows.values() if row is not None])
     arm = SerialArm(description, dtype=torch.float64)
@@ -151,11 +175,13 @@ def run_bench(
             bench.write()
     bench.write()
     bench.write_anatomy()
-    return failed
+    return bench.conclude(failed)
 
 
 def _checked(options: BenchOptions) -> dict[str, LearnedRow | None]:
     """The rows by name, None for solvers that are not trained here, once every option is known to fit."""
+    if not options.datasets:
+        raise ValueError("--datasets is missing: folders of LeRobot datasets to measure on.")
     if options.seeds < 1:
         raise ValueError(f"--seeds={options.seeds}: expected at least 1.")
     for mode in options.modes:
@@ -168,16 +194,19 @@ def _checked(options: BenchOptions) -> dict[str, LearnedRow | None]:
             raise ValueError(
                 f"--solvers: unknown {name}; known are {learned_names()}, and {', '.join(others)}."
             )
+        if row is not None and options.train is None:
+            raise ValueError(f"--solvers names {name}, which is trained here: on which dataset? --train=...")
     return rows
 
 
 def _arm(options: BenchOptions) -> ArmDescription:
-    """The arm that was named, else that of the training data."""
+    """The arm that was named, else that of the training data or of the first dataset."""
     if options.arm:
         return describe_arm(options.arm)
-    if not (options.train / ARM_FILE).is_file():
-        raise ValueError(f"{options.train} does not name its arm ({ARM_FILE}): which is it? --urdf=...")
-    return read_arm_json(options.train)
+    root = options.train or options.datasets[0]
+    if not (root / ARM_FILE).is_file():
+        raise ValueError(f"{root} does not name its arm ({ARM_FILE}): which is it? --arm=...")
+    return read_arm_json(root)
 
 
 def _occasions(options: BenchOptions, arm: SerialArm) -> list[Occasion]:
@@ -232,6 +261,7 @@ class _Bench:
         self._occasions, self._ordeals = occasions, ordeals
         self._progress, self._say = progress, say
         self.summary = Summary(options.out / "summary.json")
+        self._plots: dict[str, Plot] = {}
 
     def measure(self, name: str, seed: int, policy: str | None) -> bool:
         """Measure one solver wherever it was not measured before; False if it cannot be had."""
@@ -268,8 +298,8 @@ class _Bench:
             save_commands(commands, undergo(solver, self._ordeals))
         return True
 
-    def write(self) -> None:
-        """The table and figures of what was asked for, as far as it is measured."""
+    def _rows(self) -> list[dict[str, Any]]:
+        """What was asked for, as far as it is measured, seeds apart."""
         asked = [
             (self.summary.find(name, seed, each.place, each.mode), each.recording.set.name)
             for each in self._occasions
@@ -277,9 +307,13 @@ class _Bench:
             for seed in range(self._options.seeds)
         ]
         # A dataset's name is told from the others asked for now, which may be others than before.
-        rows = [row | {"dataset": dataset} for row, dataset in asked if row is not None]
-        about = [describe_recording(each.recording) | {"mode": each.mode} for each in self._occasions]
-        notes = [
+        return [row | {"dataset": dataset} for row, dataset in asked if row is not None]
+
+    def _about(self) -> list[dict[str, Any]]:
+        return [describe_recording(each.recording) | {"mode": each.mode} for each in self._occasions]
+
+    def _notes(self) -> list[str]:
+        return [
             f"{data['name']}, {data['mode'].replace('_', ' ')}: {data['episodes']} episodes, {data['frames']} "
             f"frames at {data['fps']:g} fps."
             + (
@@ -287,8 +321,12 @@ class _Bench:
                 if data["synthetic_labels"]
                 else ""
             )
-            for data in about
+            for data in self._about()
         ]
+
+    def write(self) -> None:
+        """The table and figures of what was asked for, as far as it is measured."""
+        rows = self._rows()
         self.summary.save()
         learned = {name: LearnedRow.of(name) for name in self._names}
         configurations = {
@@ -300,14 +338,26 @@ class _Bench:
             rows,
             self.summary.training,
             self.summary.unavailable,
-            dict(self._settings) | {"datasets": about},
-            notes,
+            dict(self._settings) | {"datasets": self._about()},
+            self._notes(),
             configurations,
         )
         if rows:
             self._save_plots(
                 [*plot_errors(rows), plot_fk_weights(rows, MimicIKConfig.fk_weight), plot_seeds(rows)]
             )
+
+    def conclude(self, failed: bool) -> BenchResult:
+        """The page, the Markdown document where it is asked for, and the table for the screen."""
+        rows = joined_seeds(self._rows())
+        options, unavailable, notes = self._options, self.summary.unavailable, self._notes()
+        page = write_bench_page(
+            options.out, rows, unavailable, notes, list(self._plots.values()), options.command
+        )
+        if options.markdown is not None:
+            options.markdown.parent.mkdir(parents=True, exist_ok=True)
+            options.markdown.write_text(results_markdown(rows, unavailable, notes, options.command))
+        return BenchResult(failed, screen_table(rows, unavailable), page)
 
     def write_anatomy(self) -> None:
         """The figure of the standard motions, learned rows with their first seed."""
@@ -327,5 +377,6 @@ class _Bench:
         """Figures that can be drawn, as PNG with the caption beside it."""
         for plot in plots:
             if plot is not None:
+                self._plots[plot.name] = plot
                 caption = plot.save(self._options.out / "figures").with_suffix(".txt")
                 caption.write_text(f"{plot.title}\n\n{plot.caption}\n")

@@ -112,7 +112,7 @@ def train_row(training: Training, summary: Summary, say: Callable[[str], None] =
 def _data_options(options: BenchOptions) -> list[str]:
     """The dataset, and what differs from the recipes' defaults about it."""
     return [
-        f"--dataset.repo_id=local/{options.train.resolve().name}",
+        f"--dataset.repo_id=local/{Path(options.train or '').resolve().name}",
         f"--dataset.root={options.train}",
         *([f"--dataset.episodes={list(options.train_episodes)}"] if options.train_episodes else []),
         *([f"--policy.joint_units={options.joint_units}"] if options.joint_units != "rad" else []),
@@ -144,7 +144,7 @@ def _keep_arguments(training: Training, asked: dict) -> None:
     begun = training_process.last_step(training.run) > 0 and kept.is_file()
     if begun and json.loads(kept.read_text()) != asked:
         raise ValueError(
-            f"{folder} was trained with other options ({kept}): take another --out, or remove it."
+            f"{folder} was trained with other options ({kept}): take another --output, or remove it."
         )
     folder.mkdir(parents=True, exist_ok=True)
     kept.write_text(json.dumps(asked, indent=2) + "\n")

@@ -12,23 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_mimicik.evaluation.plots import Plot
+from lerobot_mimicik.evaluation.short_table import COLUMNS, FAILED, cells, failed, groups, legend
 
-# (key, heading, explanation, format) of the page's table; report.md has every column.
-_COLUMNS = (
-    ("mean_mm", "mean", "mean position error, mm", ".2f"),
-    ("p95_mm", "P95", "95th percentile of the position error, mm", ".2f"),
-    ("max_mm", "max", "largest position error, mm", ".1f"),
-    ("rot_mean_deg", "rot.", "mean rotation error, degrees", ".2f"),
-    ("sr1", "≤ 1 mm", "share of frames within 1 mm, %", ".1f"),
-    ("sr5", "≤ 5 mm", "share of frames within 5 mm, %", ".1f"),
-    ("sr10", "≤ 10 mm", "share of frames within 10 mm, %", ".1f"),
-    ("joint_spike", "spikes", "share of frames with a joint step over 0.1 rad, %", ".2f"),
-    ("estop", "E-stops", "share of frames with a joint step over 0.5 rad, %", ".2f"),
-    ("max_dq", "max Δq", "largest joint step, rad per frame", ".3f"),
-    ("jerk", "jerk", "mean absolute third difference of the commands, mrad per frame³", ".2f"),
-    ("latency_ms_median", "ms", "median time of one query, ms", ".2f"),
-)
-_MODES = {"open_loop": "open loop", "closed_loop": "closed loop"}
+_PIXELS_PER_INCH = 130  # of a figure on the page: type of 8 points is as large as the text
 
 _STYLE = """
 :root { --ink: #1b2733; --soft: #5c6b7a; --line: #dde3e8; --accent: #0072B2; }
@@ -47,11 +33,12 @@ p { margin: 0 0 12px; }
 .card span { display: block; color: var(--soft); font-size: 13px; line-height: 1.35; margin-top: 4px; }
 table { border-collapse: collapse; width: 100%; font-size: 12.5px; font-variant-numeric: tabular-nums; }
 th, td { padding: 5px 5px; text-align: right; white-space: nowrap; }
-th { font-weight: 600; border-bottom: 1px solid var(--ink); cursor: help; }
+th { font-weight: 600; white-space: normal; vertical-align: bottom; border-bottom: 1px solid var(--ink); cursor: help; }
 th:first-child, td:first-child { text-align: left; }
 td { border-bottom: 1px solid var(--line); }
 tr.group td { padding-top: 14px; font-weight: 600; text-align: left; color: var(--accent); }
 tr.reference td { color: var(--soft); }
+ul { margin: 0; padding-left: 20px; } li { margin-bottom: 6px; }
 figure { margin: 0; }
 img { display: block; width: 100%; height: auto; }
 figcaption, .note { color: var(--soft); font-size: 14px; margin-top: 8px; }
@@ -79,6 +66,7 @@ class Page:
         lead: A sentence below it.
         cards: Headline figures.
         rows: Rows of the report.
+        words: Sentences on what happened, above the table.
         notes: Sentences below the table.
         plots: Figures.
         commands: Command lines that repeat the work.
@@ -89,6 +77,7 @@ class Page:
     lead: str
     cards: Sequence[Card]
     rows: Sequence[Mapping[str, Any]]
+    words: Sequence[str] = ()
     notes: Sequence[str] = ()
     plots: Sequence[Plot] = ()
     commands: Sequence[str] = ()
@@ -110,6 +99,8 @@ def render(page: Page) -> str:
         f'<div class="card"><b>{text(card.value)}</b><span>{text(card.label)}</span></div>'
         for card in page.cards
     )
+    words = "".join(f"<li>{text(sentence)}</li>" for sentence in page.words)
+    happened = f"<h2>What happened</h2><ul>{words}</ul>" if words else ""
     notes = "".join(f'<p class="note">{text(note)}</p>' for note in page.notes)
     figures = "".join(_figure(plot) for plot in page.plots)
     commands = f"<h2>Commands</h2><pre>{text(chr(10).join(page.commands))}</pre>" if page.commands else ""
@@ -126,6 +117,7 @@ def render(page: Page) -> str:
 <h1>{text(page.title)}</h1>
 <p class="lead">{text(page.lead)}</p>
 <div class="cards">{cards}</div>
+{happened}
 <h2>Accuracy, smoothness and latency</h2>
 <div class="scroll">{_table(page.rows)}</div>
 {notes}
@@ -140,22 +132,22 @@ def render(page: Page) -> str:
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     """One group of rows for each dataset and mode."""
-    head = "".join(f'<th title="{html.escape(why)}">{html.escape(name)}</th>' for _, name, why, _ in _COLUMNS)
+    meanings = [(heading, why) for _, heading, why, _ in COLUMNS]
+    head = "".join(
+        f'<th title="{html.escape(why)}">{html.escape(name)}</th>' for name, why in [*meanings, FAILED]
+    )
     body = []
-    group = None
-    for row in rows:
-        if (row["dataset"], row["mode"]) != group:
-            group = (row["dataset"], row["mode"])
-            name = f"{row['dataset']}, {_MODES.get(row['mode'], row['mode'])} ({row['frames']} frames)"
-            body.append(f'<tr class="group"><td colspan="{len(_COLUMNS) + 2}">{html.escape(name)}</td></tr>')
-        values = "".join(f"<td>{_format(row, key, form)}</td>" for key, _, _, form in _COLUMNS)
-        kind = ' class="reference"' if row["solver"] == "hold" else ""
-        body.append(
-            f"<tr{kind}><td>{html.escape(row['solver'])}</td>{values}"
-            f'<td title="{html.escape(row.get("reason", ""))}">{html.escape(row["verdict"])}</td></tr>'
-        )
+    for title, members in groups(rows):
+        body.append(f'<tr class="group"><td colspan="{len(COLUMNS) + 2}">{html.escape(title)}</td></tr>')
+        for row in members:
+            values = "".join(f"<td>{html.escape(value)}</td>" for value in cells(row)[:-1])
+            kind = ' class="reference"' if row["solver"] == "hold" else ""
+            body.append(
+                f"<tr{kind}><td>{html.escape(row['solver'])}</td>{values}"
+                f'<td title="{html.escape(row.get("reason", ""))}">{html.escape(failed(row))}</td></tr>'
+            )
     return (
-        f"<table><thead><tr><th>solver</th>{head}<th>verdict</th></tr></thead>"
+        f"<table><thead><tr><th>solver</th>{head}</tr></thead>"
         f"<tbody>{''.join(body)}</tbody></table>"
         f'<p class="note">{html.escape(legend())}</p>'
     )
@@ -166,24 +158,13 @@ def _text(text: str) -> str:
     return re.sub(r"(?<=\d) (?=(mm|m|ms|s|rad|%)\b|%)", "\u00a0", html.escape(text))
 
 
-def legend() -> str:
-    """What the columns of the page's table mean."""
-    return "; ".join(f"{name}: {why}" for _, name, why, _ in _COLUMNS) + "."
-
-
-def _format(row: Mapping[str, Any], key: str, form: str) -> str:
-    value = row[key]
-    if value is None:
-        return "-"
-    return format(1e3 * value if key == "jerk" else value, form)
-
-
 def _figure(plot: Plot) -> str:
     buffer = io.BytesIO()
     plot.figure.savefig(buffer, format="png", dpi=150)
     image = base64.b64encode(buffer.getvalue()).decode()
     title, caption = _text(plot.title), _text(plot.caption)
+    width = round(_PIXELS_PER_INCH * plot.figure.get_figwidth())
     return (
-        f'<h2>{title}</h2><figure><img alt="{title}" src="data:image/png;base64,{image}">'
-        f"<figcaption>{caption}</figcaption></figure>"
+        f'<h2>{title}</h2><figure><img alt="{title}" style="max-width:{width}px" '
+        f'src="data:image/png;base64,{image}"><figcaption>{caption}</figcaption></figure>'
     )
