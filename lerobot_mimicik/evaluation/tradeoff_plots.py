@@ -27,6 +27,8 @@ def plot_tradeoff(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
     shown = [row for row in rows if _position(row) is not None]
     if not shown:
         return None
+    # Holding still would stretch every axis.
+    shown = [row for row in shown if row["solver"] != "hold"] or shown
     panels = list(groups(shown))
     columns = min(2, len(panels))
     lines = math.ceil(len(panels) / columns)
@@ -57,8 +59,9 @@ def plot_tradeoff(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
         panel.minorticks_off()
     for panel in grid[len(panels) :]:
         panel.remove()
-    figure.supxlabel("mean error [mm]", fontsize=_FONT + 1)
-    figure.supylabel("jerk, RMS [rad/s³]", fontsize=_FONT + 1)
+    for panel in grid[max(0, len(panels) - columns) : len(panels)]:
+        panel.set_xlabel("mean error [mm]", fontsize=_FONT)
+    figure.supylabel("jerk, RMS [rad/s³]", fontsize=_FONT)
     handles: dict[str, Artist] = {}
     for panel in grid[: len(panels)]:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
@@ -72,8 +75,9 @@ def plot_tradeoff(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
         frameon=False,
     )
     caption = (
-        "Down and to the left is better. Error against the clean target where a set has one; bars: 95 % intervals over "
-        "recordings. Hollow: some recordings failed. " + " ".join(describe_rows(shown))
+        "Down and to the left is better; holding still is left out. Error against the clean target where a set "
+        "has one; bars: 95 % intervals over recordings. Hollow: some recordings failed. "
+        + " ".join(describe_rows(shown))
     )
     return finished("tradeoff", "Accuracy against jerk", figure, caption)
 
