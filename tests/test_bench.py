@@ -80,7 +80,7 @@ def test_the_table_has_every_row_and_says_what_is_unavailable(made):
         "errors_test.png", "errors_test.txt", "anatomy.png", "anatomy.txt", "tradeoff.png", "failures.png",
     }  # fmt: skip
     html = (out / "report.html").read_text()
-    assert "test_not_installed is missing" in html
+    assert "test_not_installed is unavailable" in html
     assert html.count("<figure>") == 4
     assert {path.name for path in (out / "anatomy").iterdir()} == {"mlp.npz", "hold.npz"}
 

@@ -14,7 +14,7 @@ COMMANDS = [
     "eval --dataset.root=outputs/data --device=gpu",
     "bench --datasets=outputs/nope --train=outputs/data",
     "bench --datasets=outputs/data --train=outputs/nope",
-    "bench --datasets=outputs/data --train=outputs/data --urdf=nope.urdf",
+    "bench --datasets=outputs/data --train=outputs/data --arm=nope.urdf",
     "serve --policy.path=outputs/rnu",
     "serve --robot=nope.urdf",
     "deploy --policy.path=outputs/rnu",

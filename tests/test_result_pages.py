@@ -35,7 +35,7 @@ def test_the_table_fits_the_screen_and_loses_no_row():
     text = screen_table(ROWS, {"placo": "not installed: " + "x" * 200})
     lines = text.splitlines()
     assert max(map(len, lines)) <= SCREEN_WIDTH
-    assert "placo is missing: not installed" in text
+    assert "placo is unavailable: not installed" in text
     assert sum(line.startswith(("guided", "mink", "a_solver", "hold")) for line in lines) == len(ROWS)
     assert "4/20" in text
     assert "0/20" in text
@@ -98,7 +98,12 @@ def test_page_and_document_say_what_happened_and_what_is_missing(tmp_path):
     page = write_bench_page(tmp_path, ROWS, missing, notes, [], "mimicik bench --datasets=x").read_text()
     document = results_markdown(ROWS, missing, notes, "mimicik bench --datasets=x")
     for text in (page, document):
-        for part in ("placo is missing", "mink is the most exact", "mimicik bench --datasets=x", "guided"):
+        for part in (
+            "placo is unavailable",
+            "mink is the most exact",
+            "mimicik bench --datasets=x",
+            "guided",
+        ):
             assert part in text
     assert "## Where a peer is ahead" in document
     assert page.count("data:image/png") == 2

@@ -179,7 +179,7 @@ def _facts(all_columns: str) -> dict[str, str]:
 
 
 def _missing(unavailable: Mapping[str, str]) -> list[str]:
-    return [f"{name} is missing: {reason.splitlines()[0]}" for name, reason in unavailable.items()]
+    return [f"{name} is unavailable: {reason.splitlines()[0]}" for name, reason in unavailable.items()]
 
 
 def _unique(rows: Rows, key: str) -> list[str]:

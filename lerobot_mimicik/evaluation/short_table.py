@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -90,7 +91,7 @@ def screen_table(rows: Sequence[Mapping[str, Any]], unavailable: Mapping[str, st
             ]
             lines.append(_cut("  ".join(padded).rstrip(), SCREEN_WIDTH))
     for name, reason in (unavailable or {}).items():
-        lines += ["", _cut(f"{name} is missing: {reason.splitlines()[0]}", SCREEN_WIDTH)]
+        lines += ["", *textwrap.wrap(f"{name} is unavailable: {reason.splitlines()[0]}", SCREEN_WIDTH)]
     return "\n".join(lines).lstrip("\n")
 
 
