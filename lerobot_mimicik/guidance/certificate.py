@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_mimicik.guidance import kernels
+from lerobot_mimicik.guidance.kinematics_kernels import pose_and_jacobian
 from lerobot_mimicik.guidance.model import ArmModel
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def at_limits(model: ArmModel, q: Array) -> NDArray[np.bool_]:
 
 def smallest_singular(model: ArmModel, q: Array) -> tuple[float, Array]:
     """Smallest singular value [m/rad] of the Jacobian, rotations by the arm's lever, and its direction (6,)."""
-    _, _, jacobian = kernels.pose_and_jacobian(q, model.chain)
+    _, _, jacobian = pose_and_jacobian(q, model.chain)
     scaled = jacobian * np.repeat([1.0, model.lever], 3)[:, None] / model.unit
     left, values, _ = np.linalg.svd(scaled)
     last = min(len(values), 6) - 1

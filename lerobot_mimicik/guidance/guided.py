@@ -19,7 +19,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_mimicik.guidance import kernels
 from lerobot_mimicik.guidance.branches import BranchChange
 from lerobot_mimicik.guidance.certificate import (
     Certificate,
@@ -28,21 +27,19 @@ from lerobot_mimicik.guidance.certificate import (
     is_singular,
     smallest_singular,
 )
+from lerobot_mimicik.guidance.descent import keep_bounds
+from lerobot_mimicik.guidance.kinematics_kernels import judge, split_poses
 from lerobot_mimicik.guidance.model import ArmModel
-from lerobot_mimicik.guidance.search import NO_EXTRA, closest_configuration, kernel_task
+from lerobot_mimicik.guidance.planner import Planner
+from lerobot_mimicik.guidance.search import closest_configuration, kernel_task
 from lerobot_mimicik.guidance.settings import GuidanceSettings
-from lerobot_mimicik.guidance.user_terms import CostTerm, descend_with_terms
+from lerobot_mimicik.guidance.user_terms import CostTerm
 
 Array = NDArray[np.float64]
 
-_DAMPING = 1e-2
-"""Levenberg-Marquardt damping as a multiple of the squared pose residual (Sugihara 2011)."""
-_GAIN = 1e-4  # fraction of its cost that a descent step must gain for another one to follow
 _TRUSTED_M = 1e-3
 """Residual [m] of a prior's own command at which half of its weight is lost."""
 _PROGRESS = 0.5  # fraction of the way to the target that a trusted prior's command leaves, at most
-_POOR_M = 2e-3
-"""Residual [m] of a frame of the warm-started plan from which a plan made anew is tried beside it."""
 _GUARD_HALVINGS = 12  # of the way from a start that is clear to a command that is not
 
 
@@ -91,31 +88,10 @@ class Guidance:
         self, model: ArmModel, settings: GuidanceSettings | None = None, terms: Sequence[CostTerm] = ()
     ) -> None:
         self.model, self.settings, self.terms = model, settings or GuidanceSettings(), tuple(terms)
-        given, size = self.settings, model.reach**2
-        n = model.dof
-        posture = given.posture * size if n > _constrained(given) else 0.0
-        collision = given.collision * size if len(model.pairs) else 0.0
-        clearance = given.clearance * size
-        one = [given.velocity, given.acceleration, 0.0]
-        ahead = [given.ahead_velocity, 0.0, given.ahead_jerk * given.smoothness]
-        rest = [clearance, posture, collision]
-        self._one = np.array([*(size * value for value in one), *rest])
-        self._ahead = np.array([*(size * value for value in ahead), *rest])
-        # The second pass keeps a tenth of the third difference: it would otherwise undo what looking ahead is for.
-        self._one_exact = np.array([0.0, 0.0, 0.0, 0.0, 0.0, collision])
-        self._ahead_exact = np.array([0.0, 0.0, 0.1 * self._ahead[kernels.JERK], 0.0, 0.0, collision])
-        self._exactness, self._ahead_exactness = size * given.exactness, size * given.ahead_exactness
-        self._prior = size * given.prior
+        given = self.settings
+        self._planner = Planner(model, given, terms)
         self._task = kernel_task(model, given.task)
-        self._bounds = (
-            model.lower,
-            model.upper,
-            model.margins(given.clearance_width, given.clearance_fraction),
-        )
-        self._step = np.full(n, given.max_step)
-        span = max(given.collision_zone - given.collision_margin, 1e-6)
-        self._zone = np.array([given.collision_zone, span])
-        self._posture = model.comfortable()
+        self._step = np.full(model.dof, given.max_step)
         self._branch = BranchChange(
             model, given.task, self.meets, given.branch_distance, given.branch_detour, given.collision_margin
         )
@@ -156,13 +132,13 @@ class Guidance:
         targets = target[None]
         if upcoming is not None and len(upcoming):
             targets = np.concatenate([targets, upcoming[: self.settings.horizon - 1]])
-        rotations, positions = kernels.split_poses(targets)
+        rotations, positions = split_poses(targets)
         proposed, trust = self._trusted(past[2], rotations[0], positions[0], target, prior)
         if len(targets) == 1:
-            plan, cost = self._one_frame(past, rotations, positions, proposed, trust)
+            plan, cost = self._planner.one_frame(past, rotations, positions, proposed, trust)
             self._plan = None
         else:
-            plan, cost = self._look_ahead(past, rotations, positions, proposed, trust)
+            plan, cost = self._planner.look_ahead(self._plan, past, rotations, positions, proposed, trust)
             self._plan = plan
         q = self._kept_clear(past[2], plan[0])
         source = "prior" if trust > 0.5 else "guided"
@@ -178,102 +154,6 @@ class Guidance:
                 return self._on_the_way(past, goal, target)
         return self._remembered(past, Solution(q, certificate, plan, cost, trust, False))
 
-    # ---- the passes -------------------------------------------------------------------------------------------
-
-    def _one_frame(
-        self, past: Array, rotation: Array, position: Array, proposed: Array, trust: float
-    ) -> tuple[Array, float]:
-        weights = self._one.copy()
-        # What a trusted prior knows of the motion need not be guessed from its smoothness.
-        weights[: kernels.JERK] *= 1.0 - trust
-        x = past[2][None].copy()
-        if trust > 0:
-            x[0] = proposed
-        cost = self._descend(
-            x, past, rotation, position, weights, proposed[None], np.array([trust * self._prior])
-        )
-        self._descend(x, past, rotation, position, self._one_exact, x.copy(), np.array([self._exactness]))
-        return x, cost
-
-    def _look_ahead(
-        self, past: Array, rotations: Array, positions: Array, proposed: Array, trust: float
-    ) -> tuple[Array, float]:
-        """The better of two plans by the shared cost: the last one moved on, and one frame after the other."""
-        frames = len(rotations)
-        listen = np.zeros(frames)
-        listen[0] = trust * self._prior
-        heard = np.repeat(proposed[None], frames, axis=0)
-
-        def improved(x: Array) -> tuple[Array, float, Array]:
-            cost, residuals = self._descend_full(x, past, rotations, positions, self._ahead, heard, listen)
-            return x, cost, residuals
-
-        best: tuple[Array, float] | None = None
-        if self._plan is not None and len(self._plan) > 1:
-            known = self._plan[1 : frames + 1].copy()
-            kernels.keep_bounds(known, past[2], *self._bounds[:2], self._step)
-            x, cost, residuals = improved(self._extended(past, known, rotations, positions, proposed, trust))
-            best = (x, cost)
-            if float(np.abs(residuals).max()) <= _POOR_M:
-                return self._exact(best, past, rotations, positions)
-        fresh = self._extended(past, np.zeros((0, self.model.dof)), rotations, positions, proposed, trust)
-        x, cost, _ = improved(fresh)
-        if best is None or cost < best[1]:
-            best = (x, cost)
-        return self._exact(best, past, rotations, positions)
-
-    def _exact(
-        self, plan: tuple[Array, float], past: Array, rotations: Array, positions: Array
-    ) -> tuple[Array, float]:
-        x, cost = plan
-        pull = np.full(len(x), self._ahead_exactness)
-        self._descend(x, past, rotations, positions, self._ahead_exact, x.copy(), pull)
-        return x, cost
-
-    def _extended(
-        self, past: Array, known: Array, rotations: Array, positions: Array, proposed: Array, trust: float
-    ) -> Array:
-        """A plan (T, dof) that begins with the known frames and goes on one frame at a time."""
-        frames, kept = len(rotations), min(len(known), len(rotations))
-        x = np.empty((frames, self.model.dof))
-        x[:kept] = known[:kept]
-        history = np.concatenate([past, x[:kept]])[-3:]
-        for t in range(kept, frames):
-            row = slice(t, t + 1)
-            found, _ = self._one_frame(
-                history, rotations[row], positions[row], proposed, trust if t == 0 else 0.0
-            )
-            x[t] = found[0]
-            history = np.concatenate([history[1:], found])
-        return x
-
-    def _descend(self, *arguments: Array) -> float:
-        return self._descend_full(*arguments)[0]
-
-    def _descend_full(
-        self,
-        x: Array,
-        past: Array,
-        rotations: Array,
-        positions: Array,
-        weights: Array,
-        prior: Array,
-        prior_weight: Array,
-    ) -> tuple[float, Array]:
-        model = self.model
-
-        def descend(extra: tuple[Array, Array, Array]) -> tuple[float, Array]:
-            cost, residuals, _ = kernels.descend(
-                x, past, past[2], self._step, rotations, positions, model.chain, self._task, self._bounds,
-                model.unit, weights, self._posture, prior, prior_weight, model.spheres, model.pairs, self._zone,
-                extra, self.settings.iterations, _DAMPING, _GAIN,
-            )  # fmt: skip
-            return cost, residuals
-
-        if not self.terms:
-            return descend(NO_EXTRA)
-        return descend_with_terms(x, self.terms, descend)
-
     # ---- prior --------------------------------------------------------------------------------------------------
 
     def _trusted(
@@ -287,7 +167,7 @@ class Guidance:
         if prior is None:
             return start, 0.0
         proposed = np.asarray(prior(start.copy(), target.copy()), dtype=float)[None].copy()
-        kernels.keep_bounds(proposed, start, *self._bounds[:2], self._step)
+        keep_bounds(proposed, start, self.model.lower, self.model.upper, self._step)
         scale = self._task[0]
         left = float(np.linalg.norm(scale * self._left_over(proposed[0], target)))
         way = float(np.linalg.norm(scale * self._left_over(start, target)))
@@ -326,7 +206,7 @@ class Guidance:
 
     def _left_over(self, q: Array, target: Array) -> Array:
         """Pose error (6,) [m, rad] beyond the task's tolerances on its axes; 0 on free ones."""
-        return kernels.judge(q, target, self.model.chain, *self._task)[0]
+        return judge(q, target, self.model.chain, *self._task)[0]
 
     def _reached(self, left: Array) -> bool:
         given = self.settings
@@ -341,7 +221,7 @@ class Guidance:
 
     def _certify(self, start: Array, q: Array, target: Array, source: str) -> Certificate:
         model = self.model
-        left, position_error, rotation_error = kernels.judge(q, target, model.chain, *self._task)
+        left, position_error, rotation_error = judge(q, target, model.chain, *self._task)
         reached = self._reached(left)
         gap, pair = model.gap(q)
         margin = float(np.minimum(q - model.lower, model.upper - q).min())
@@ -378,7 +258,7 @@ class Guidance:
 
     def _errors(self, q: Array, target: Array) -> tuple[float, float]:
         """Errors of joints (dof,) against a target (7,), tolerances not counted [m, rad]."""
-        return kernels.judge(q, target, self.model.chain, *self._task)[1:]
+        return judge(q, target, self.model.chain, *self._task)[1:]
 
     # ---- memory -------------------------------------------------------------------------------------------------
 
@@ -408,8 +288,3 @@ class Guidance:
         solution = Solution(q, found, q[None], np.nan, 0.0, True)
         self._past = np.stack([q] * 3)
         return solution
-
-
-def _constrained(settings: GuidanceSettings) -> int:
-    """Number of axes of the tool that the task holds."""
-    return sum(weight > 0 for weight in settings.task.weight)

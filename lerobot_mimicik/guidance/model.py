@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_mimicik.guidance import kernels
+from lerobot_mimicik.guidance import kinematics_kernels
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
 from lerobot_mimicik.kinematics.collision import ArmCollision
@@ -32,7 +32,8 @@ class ArmModel:
         unit: (dof,), what makes a joint's motion comparable to one of 1 rad: 1 for joints that turn, 1/m for others.
         reach: Length of the stretched arm [m].
         lever: Metres that one radian of the tool counts as [m/rad].
-        chain, spheres, pairs: Arrays for the kernels.
+        chain, spheres, pairs: Arrays for the compiled kinematics.
+        arrays: These and `unit`, as `descent.descend` takes them.
         bodies: Names of the links, one per body, base first: what a collision names.
     """
 
@@ -58,6 +59,7 @@ class ArmModel:
         self.bodies = _body_names(description)
         collision = ArmCollision(description, self.comfortable(), floor=None)
         self.spheres, self.pairs = collision.sphere_arrays()
+        self.arrays = (self.chain, self.spheres, self.pairs, self.unit)
         self._points = point_chain(description)
 
     @property
@@ -78,7 +80,7 @@ class ArmModel:
 
     def gap(self, q: Array) -> tuple[float, int]:
         """Smallest gap between the arm's own bodies [m], infinite without shapes, and the number of that pair."""
-        return kernels.sphere_gap(q, self.chain, self.spheres, self.pairs)
+        return kinematics_kernels.sphere_gap(q, self.chain, self.spheres, self.pairs)
 
     def pair_names(self, pair: int) -> tuple[str, str]:
         """Links of the bodies of a pair of spheres."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_mimicik.guidance import kernels
+from lerobot_mimicik.guidance.descent import descend
+from lerobot_mimicik.guidance.kinematics_kernels import split_poses
 from lerobot_mimicik.guidance.model import ArmModel
 from lerobot_mimicik.guidance.settings import PoseTask
 
 Array = NDArray[np.float64]
 
 _ITERATIONS = 25
+_DAMPING = 1e-2  # as a multiple of the squared pose residual
 _GAIN = 1e-4  # a step that gains less of the squared error ends the descent
 NO_EXTRA = (np.zeros((0, 0)), np.zeros(0), np.zeros(0))
 
@@ -39,12 +41,10 @@ def closest_configuration(
     n = model.dof
     x = np.clip(q, model.lower, model.upper)[None].copy()
     start = x[0].copy()
-    weights = np.zeros(6)
-    rotation, position = kernels.split_poses(target[None])
-    kernels.descend(
-        x, np.stack([start] * 3), start, np.full(n, np.inf), rotation, position,
-        model.chain, kernel_task(model, task or PoseTask()), (model.lower, model.upper, np.zeros(n)), model.unit,
-        weights, start, x.copy(), np.zeros(1), model.spheres, model.pairs, np.ones(2), NO_EXTRA, iterations, 1e-2,
-        _GAIN,
-    )  # fmt: skip
+    rotation, position = split_poses(target[None])
+    goal = (rotation, position, kernel_task(model, task or PoseTask()))
+    costs = (np.zeros(6), start, x.copy(), np.zeros(1), np.ones(2), NO_EXTRA)
+    bounds = (model.lower, model.upper, np.zeros(n))
+    past, unbounded = np.stack([start] * 3), np.full(n, np.inf)
+    descend(x, past, start, unbounded, model.arrays, goal, costs, bounds, iterations, _DAMPING, _GAIN)
     return x[0]

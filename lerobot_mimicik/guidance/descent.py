@@ -20,164 +20,48 @@ import math
 import numpy as np
 from numba import njit
 
-_jit = njit(cache=True, fastmath=False, error_model="numpy")
+from lerobot_mimicik.guidance.kinematics_kernels import (
+    point_jacobian,
+    pose_difference,
+    tool_pose,
+    walk,
+    weigh,
+)
+
+_jit = njit(cache=True, error_model="numpy")
 
 # Order of the weights that the kernels take as one array.
 VELOCITY, ACCELERATION, JERK, LIMITS, POSTURE, COLLISION = range(6)
 
 
-@_jit
-def walk(q, step_rotations, step_positions, columns, prismatic, rotations, positions):
-    """Frames of all bodies: fills `rotations` (n + 1, 3, 3) and `positions` (n + 1, 3); body 0 is the base."""
-    n = len(columns)
-    for a in range(3):
-        positions[0, a] = 0.0
-        for b in range(3):
-            rotations[0, a, b] = 1.0 if a == b else 0.0
-    for i in range(n):
-        r, p = rotations[i], positions[i]
-        s, o = step_rotations[i], step_positions[i]
-        t, d = rotations[i + 1], positions[i + 1]
-        for a in range(3):
-            for b in range(3):
-                t[a, b] = r[a, 0] * s[0, b] + r[a, 1] * s[1, b] + r[a, 2] * s[2, b]
-            d[a] = p[a] + r[a, 0] * o[0] + r[a, 1] * o[1] + r[a, 2] * o[2]
-        value = q[columns[i]]
-        if prismatic[i]:
-            for a in range(3):
-                d[a] += t[a, 2] * value
-        else:
-            sine, cosine = math.sin(value), math.cos(value)
-            for a in range(3):
-                x, y = t[a, 0], t[a, 1]
-                t[a, 0] = x * cosine + y * sine
-                t[a, 1] = y * cosine - x * sine
-
-
-@_jit
-def tool_pose(rotations, positions, tool_rotation, tool_position, rotation, position):
-    """Fill the tool's `rotation` (3, 3) and `position` (3,) from the frames of the bodies."""
-    r, p = rotations[-1], positions[-1]
-    for a in range(3):
-        for b in range(3):
-            rotation[a, b] = (
-                r[a, 0] * tool_rotation[0, b] + r[a, 1] * tool_rotation[1, b] + r[a, 2] * tool_rotation[2, b]
-            )
-        position[a] = (
-            p[a] + r[a, 0] * tool_position[0] + r[a, 1] * tool_position[1] + r[a, 2] * tool_position[2]
-        )
-
-
-@_jit
-def point_jacobian(rotations, positions, columns, prismatic, body, point, jacobian):
-    """Fill the linear Jacobian (3, n) of a `point` (3,) of the base frame that the body numbered `body` carries."""
-    jacobian[:, :] = 0.0
-    for i in range(body):
-        j = columns[i]
-        x, y, z = rotations[i + 1, 0, 2], rotations[i + 1, 1, 2], rotations[i + 1, 2, 2]
-        if prismatic[i]:
-            jacobian[0, j], jacobian[1, j], jacobian[2, j] = x, y, z
-            continue
-        ax = point[0] - positions[i + 1, 0]
-        ay = point[1] - positions[i + 1, 1]
-        az = point[2] - positions[i + 1, 2]
-        jacobian[0, j] = y * az - z * ay
-        jacobian[1, j] = z * ax - x * az
-        jacobian[2, j] = x * ay - y * ax
-
-
-@_jit
-def pose_difference(rotation, position, target_rotation, target_position, error):
-    """Fill `error` (6,): position difference [m] and rotation vector of R_target R^T [rad], base frame."""
-    for a in range(3):
-        error[a] = target_position[a] - position[a]
-    e = np.empty((3, 3))
-    for a in range(3):
-        for b in range(3):
-            e[a, b] = (
-                target_rotation[a, 0] * rotation[b, 0]
-                + target_rotation[a, 1] * rotation[b, 1]
-                + target_rotation[a, 2] * rotation[b, 2]
-            )
-    x, y, z = e[2, 1] - e[1, 2], e[0, 2] - e[2, 0], e[1, 0] - e[0, 1]
-    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
-    cosine = 0.5 * (e[0, 0] + e[1, 1] + e[2, 2] - 1.0)
-    angle = math.atan2(sine, cosine)
-    if sine > 1e-7:
-        scale = 0.5 * angle / sine
-        error[3], error[4], error[5] = scale * x, scale * y, scale * z
-    elif cosine > 0.0:
-        error[3], error[4], error[5] = 0.5 * x, 0.5 * y, 0.5 * z
-    else:
-        # Half a turn: the axis is the column of R + I that is longest.
-        best, length = 0, -1.0
-        for b in range(3):
-            size = e[b, b] + 1.0
-            if size > length:
-                best, length = b, size
-        norm = 0.0
-        for a in range(3):
-            error[3 + a] = e[a, best] + (1.0 if a == best else 0.0)
-            norm += error[3 + a] * error[3 + a]
-        norm = math.sqrt(norm)
-        for a in range(3):
-            error[3 + a] *= angle / norm
-
-
-@_jit
-def weigh(error, target_rotation, weight, tolerance, tool_axes, residual, row_scale):
-    """Dead zone and weight per axis: fills `residual` (6,) and `row_scale` (6,), the factor of its Jacobian's row.
-
-    Where `tool_axes`, the axes are those of the target's frame, otherwise the base's.
-    """
-    for block in range(2):
-        for a in range(3):
-            value = 0.0
-            if tool_axes:
-                for b in range(3):
-                    value += target_rotation[b, a] * error[3 * block + b]
-            else:
-                value = error[3 * block + a]
-            k = 3 * block + a
-            bound = tolerance[k]
-            if value > bound:
-                residual[k] = weight[k] * (value - bound)
-                row_scale[k] = weight[k]
-            elif value < -bound:
-                residual[k] = weight[k] * (value + bound)
-                row_scale[k] = weight[k]
-            else:
-                residual[k] = 0.0
-                row_scale[k] = 0.0
-
-
-@_jit
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def cholesky_solve(h, g, band, d):
-    """Solve the banded symmetric positive definite h d = g in place; False where it is not positive."""
+    """Solve the banded symmetric positive definite h d = g, h in place; False where it is not positive.
+
+    Row by row, so that the sums run along memory (Cholesky-Banachiewicz).
+    """
     n = len(g)
-    for j in range(n):
-        first = max(0, j - band)
-        for k in range(first, j):
-            if h[j, k] != 0.0:
-                w = h[j, k]
-                for i in range(j, min(n, k + band + 1)):
-                    h[i, j] -= h[i, k] * w
-        pivot = h[j, j]
+    for i in range(n):
+        first = max(0, i - band)
+        for j in range(first, i):
+            value = h[i, j]
+            for k in range(max(first, j - band), j):
+                value -= h[i, k] * h[j, k]
+            h[i, j] = value / h[j, j]
+        pivot = h[i, i]
+        for k in range(first, i):
+            pivot -= h[i, k] * h[i, k]
         if not pivot > 0.0:
             return False
-        root = math.sqrt(pivot)
-        for i in range(j, min(n, j + band + 1)):
-            h[i, j] /= root
-    for i in range(n):
+        h[i, i] = math.sqrt(pivot)
         value = g[i]
-        for k in range(max(0, i - band), i):
+        for k in range(first, i):
             value -= h[i, k] * d[k]
         d[i] = value / h[i, i]
     for i in range(n - 1, -1, -1):
-        value = d[i]
-        for k in range(i + 1, min(n, i + band + 1)):
-            value -= h[k, i] * d[k]
-        d[i] = value / h[i, i]
+        d[i] /= h[i, i]
+        for k in range(max(0, i - band), i):
+            d[k] -= h[i, k] * d[i]
     return True
 
 
@@ -247,38 +131,18 @@ def keep_bounds(x, start, lower, upper, max_step):
 
 
 @_jit
-def evaluate(
-    x,
-    past,
-    targets_rotation,
-    targets_position,
-    chain,
-    pose,
-    bounds,
-    unit,
-    weights,
-    posture,
-    prior,
-    prior_weight,
-    spheres,
-    pairs,
-    zone,
-    extra,
-    derivatives,
-    h,
-    g,
-    frames_rotation,
-    frames_position,
-    residuals,
-):
+def evaluate(x, past, arm, goal, costs, bounds, derivatives, buffers):
     """Cost of a plan; with `derivatives`, also its gradient -g/2 and Gauss-Newton matrix (lower triangle, h).
 
     Fills `residuals` (T, 6), the weighted pose residuals.
     """
+    chain, spheres, pairs, unit = arm
+    targets_rotation, targets_position, (weight, tolerance, tool_axes) = goal
+    weights, posture, prior, prior_weight, zone, extra = costs
     step_rotations, step_positions, columns, prismatic, tool_rotation, tool_position = chain
-    weight, tolerance, tool_axes = pose
-    lower, upper, margin = bounds
     centres, radii, bodies = spheres
+    lower, upper, margin = bounds
+    h, g, frames_rotation, frames_position, residuals = buffers
     frames, n = x.shape
     size = frames * n
     if derivatives:
@@ -443,35 +307,18 @@ def evaluate(
 
 
 @_jit
-def descend(
-    x,
-    past,
-    start,
-    max_step,
-    targets_rotation,
-    targets_position,
-    chain,
-    pose,
-    bounds,
-    unit,
-    weights,
-    posture,
-    prior,
-    prior_weight,
-    spheres,
-    pairs,
-    zone,
-    extra,
-    iterations,
-    damping,
-    gain,
-):
+def descend(x, past, start, max_step, arm, goal, costs, bounds, iterations, damping, gain):
     """Improve the plan `x` (T, n) in place; it must keep the bounds, and every accepted one does.
 
     Args:
         x: where to begin.
         past: the last three commands (3, n), oldest first; the last is what the first step starts from.
-        start: that one.
+        start: That one.
+        max_step: Bound on the steps (n,).
+        arm: Chain, spheres, pairs of spheres and units of the joints.
+        goal: Rotations (T, 3, 3), positions (T, 3) and the task (weight, tolerance, whether axes are the tool's).
+        costs: Weights, posture (n,), prior (T, n) and its weight (T,), collision zone, and a quadratic of the user's.
+        bounds: Lower and upper limits and margins (n,).
         iterations: most steps.
         damping: Levenberg-Marquardt damping as a multiple of the squared pose residual of the frame (Sugihara 2011).
         gain: fraction of the cost that a step must gain for another one to follow.
@@ -480,6 +327,7 @@ def descend(
         cost, residuals (T, 6), steps taken.
     """
     frames, n = x.shape
+    unit, weights, extra = arm[3], costs[0], costs[5]
     size = frames * n
     lower, upper, _ = bounds
     h, work = np.zeros((size, size)), np.zeros((size, size))
@@ -491,58 +339,12 @@ def descend(
     # Blocks of n couple with the three before them at most; row i of a block reaches to that block's first column.
     coupled = 0 if frames == 1 else (3 if weights[JERK] > 0.0 else 2)
     band = size - 1 if len(extra[1]) else min(size - 1, coupled * n + n - 1)
-    cost = evaluate(
-        x,
-        past,
-        targets_rotation,
-        targets_position,
-        chain,
-        pose,
-        bounds,
-        unit,
-        weights,
-        posture,
-        prior,
-        prior_weight,
-        spheres,
-        pairs,
-        zone,
-        extra,
-        True,
-        h,
-        g,
-        rotations,
-        positions,
-        residuals,
-    )
+    cost = evaluate(x, past, arm, goal, costs, bounds, True, (h, g, rotations, positions, residuals))
     taken = 0
     fresh = True
     for _ in range(iterations):
         if not fresh:
-            cost = evaluate(
-                x,
-                past,
-                targets_rotation,
-                targets_position,
-                chain,
-                pose,
-                bounds,
-                unit,
-                weights,
-                posture,
-                prior,
-                prior_weight,
-                spheres,
-                pairs,
-                zone,
-                extra,
-                True,
-                h,
-                g,
-                rotations,
-                positions,
-                residuals,
-            )
+            cost = evaluate(x, past, arm, goal, costs, bounds, True, (h, g, rotations, positions, residuals))
             fresh = True
         for t in range(frames):
             square = 0.0
@@ -564,28 +366,7 @@ def descend(
                 tried[t, j] = x[t, j] + d[t * n + j]
         keep_bounds(tried, start, lower, upper, max_step)
         after = evaluate(
-            tried,
-            past,
-            targets_rotation,
-            targets_position,
-            chain,
-            pose,
-            bounds,
-            unit,
-            weights,
-            posture,
-            prior,
-            prior_weight,
-            spheres,
-            pairs,
-            zone,
-            extra,
-            False,
-            h,
-            g,
-            rotations,
-            positions,
-            tried_residuals,
+            tried, past, arm, goal, costs, bounds, False, (h, g, rotations, positions, tried_residuals)
         )
         if after < cost:
             done = cost - after < gain * cost
@@ -606,97 +387,32 @@ def descend(
 
 
 @_jit
-def sphere_gap(q, chain, spheres, pairs):
-    """Smallest gap between the pairs of spheres [m], infinite without pairs, and the number of that pair."""
-    step_rotations, step_positions, columns, prismatic, _, _ = chain
-    centres, radii, bodies = spheres
-    n = len(columns)
-    rotations, positions = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
-    walk(q, step_rotations, step_positions, columns, prismatic, rotations, positions)
-    placed = np.empty((len(radii), 3))
-    for s in range(len(radii)):
-        r, p, c = rotations[bodies[s]], positions[bodies[s]], centres[s]
-        for a in range(3):
-            placed[s, a] = p[a] + r[a, 0] * c[0] + r[a, 1] * c[1] + r[a, 2] * c[2]
-    smallest, which = np.inf, -1
-    for k in range(len(pairs)):
-        a, b = pairs[k, 0], pairs[k, 1]
-        square = 0.0
-        for i in range(3):
-            square += (placed[a, i] - placed[b, i]) ** 2
-        gap = math.sqrt(square) - radii[a] - radii[b]
-        if gap < smallest:
-            smallest, which = gap, k
-    return smallest, which
+def one_after_the_other(
+    x, kept, past, max_step, arm, goal, costs, exact_costs, bounds, iterations, damping, gain
+):
+    """Fill the frames of `x` (T, n) from `kept` on, each by both passes from the one before it.
 
-
-@_jit
-def pose_and_jacobian(q, chain):
-    """Tool rotation (3, 3), position (3,) and geometric Jacobian (6, n), linear rows first, in the base frame."""
-    step_rotations, step_positions, columns, prismatic, tool_rotation, tool_position = chain
-    n = len(columns)
-    rotations, positions = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
-    walk(q, step_rotations, step_positions, columns, prismatic, rotations, positions)
-    rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, n))
-    tool_pose(rotations, positions, tool_rotation, tool_position, rotation, position)
-    point_jacobian(rotations, positions, columns, prismatic, n, position, jacobian[:3])
-    for i in range(n):
-        for a in range(3):
-            jacobian[3 + a, columns[i]] = 0.0 if prismatic[i] else rotations[i + 1, a, 2]
-    return rotation, position, jacobian
-
-
-@_jit
-def rotation_of(quaternion, rotation):
-    """Fill `rotation` (3, 3) of a unit quaternion x y z w."""
-    x, y, z, w = quaternion
-    rotation[0, 0], rotation[0, 1], rotation[0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - z * w),
-        2 * (x * z + y * w),
-    )
-    rotation[1, 0], rotation[1, 1], rotation[1, 2] = (
-        2 * (x * y + z * w),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - x * w),
-    )
-    rotation[2, 0], rotation[2, 1], rotation[2, 2] = (
-        2 * (x * z - y * w),
-        2 * (y * z + x * w),
-        1 - 2 * (x * x + y * y),
-    )
-
-
-@_jit
-def split_poses(poses):
-    """Rotations (T, 3, 3) and positions (T, 3) of poses (T, 7) with unit quaternions."""
-    frames = len(poses)
-    rotations, positions = np.empty((frames, 3, 3)), np.empty((frames, 3))
-    for t in range(frames):
-        positions[t] = poses[t, :3]
-        rotation_of(poses[t, 3:], rotations[t])
-    return rotations, positions
-
-
-@_jit
-def judge(q, target, chain, weight, tolerance, tool_axes):
-    """What a configuration leaves of a target (7,).
-
-    Returns:
-        Error (6,) beyond the tolerances, 0 on free axes [m, rad]; position error [m]; rotation error [rad].
+    Args:
+        x: Frames; those before `kept` stand.
+        kept: Number of frames that stand.
+        past, max_step, arm, goal, bounds, iterations, damping, gain: As for `descend`.
+        costs: Of the first pass; its prior (T, n) and the prior's weight (T,) are for each frame.
+        exact_costs: Of the second pass; its prior is the first one's answer, its prior's weight has one number.
     """
-    step_rotations, step_positions, columns, prismatic, tool_rotation, tool_position = chain
-    n = len(columns)
-    rotations, positions = np.empty((n + 1, 3, 3)), np.empty((n + 1, 3))
-    walk(q, step_rotations, step_positions, columns, prismatic, rotations, positions)
-    rotation, position, goal = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
-    tool_pose(rotations, positions, tool_rotation, tool_position, rotation, position)
-    rotation_of(target[3:], goal)
-    error, left, scale, counted = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
-    pose_difference(rotation, position, goal, target[:3], error)
-    for k in range(6):
-        counted[k] = 1.0 if weight[k] > 0.0 else 0.0
-    weigh(error, goal, counted, tolerance, tool_axes, left, scale)
-    distance = math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
-    angle = math.sqrt(error[3] ** 2 + error[4] ** 2 + error[5] ** 2)
-    return left, distance, angle
+    frames, n = x.shape
+    rotations, positions, task = goal
+    weights, posture, prior, prior_weight, zone, extra = costs
+    exact, _, _, pull, _, _ = exact_costs
+    history, row = np.empty((3, n)), np.empty((1, n))
+    for t in range(kept, frames):
+        for k in range(3):
+            earlier = t - 3 + k
+            history[k] = x[earlier] if earlier >= 0 else past[earlier + 3]
+        trusted = prior_weight[t] > 0.0
+        row[0] = prior[t] if trusted else history[2]
+        here = (rotations[t : t + 1], positions[t : t + 1], task)
+        first = (weights, posture, prior[t : t + 1], prior_weight[t : t + 1], zone, extra)
+        descend(row, history, history[2], max_step, arm, here, first, bounds, iterations, damping, gain)
+        second = (exact, posture, row.copy(), pull, zone, extra)
+        descend(row, history, history[2], max_step, arm, here, second, bounds, iterations, damping, gain)
+        x[t] = row[0]
