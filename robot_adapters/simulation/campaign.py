@@ -198,7 +198,8 @@ class _TruthWatch:
     def __init__(self, cell: SimulatedCell) -> None:
         self._cell = cell
         self._wrong_since: float | None = None
-        self._at_event: NDArray[np.float64] | None = None
+        self._held: NDArray[np.float64] | None = None
+        self._off: NDArray[np.float64] = np.zeros(0)
         self.longest_wrong = self.travel = 0.0
 
     def watch(self, events: tuple[SafetyEvent, ...]) -> None:
@@ -215,10 +216,15 @@ class _TruthWatch:
             self._wrong_since = now
         if self._wrong_since is not None:
             self.longest_wrong = max(self.longest_wrong, now - self._wrong_since)
-        if events and self._at_event is None:
-            self._at_event = simulation.q
-        if arm.mode is ArmMode.STOPPED and self._at_event is not None:
-            self.travel = max(self.travel, float(np.max(np.abs(simulation.q - self._at_event))))
+        if arm.mode is not ArmMode.STOPPED:
+            self._held = None
+            return
+        # A lagging arm still comes to where it is held; none may go further from there than it was. That what is held
+        # does not move itself is the listener's to say.
+        if self._held is None:
+            self._held = arm.target().copy()
+            self._off = np.abs(simulation.q - self._held)
+        self.travel = max(self.travel, float(np.max(np.abs(simulation.q - self._held) - self._off)))
 
     def complaints(self, fault: Fault) -> list[str]:
         """What was wrong with that."""
@@ -227,7 +233,7 @@ class _TruthWatch:
             found.append(f"did not notice in {self.longest_wrong:.2f} s that an angle was wrong")
         # A motor that is too hot is relieved of its load, and its joint sinks.
         if fault.kind in SENSOR_FAULTS and fault.kind is not FaultKind.HEATING and self.travel > _TRAVEL:
-            found.append(f"the arm moved by {self.travel:.3f} rad after the event")
+            found.append(f"a joint moved away by {self.travel:.3f} rad after the stop")
         return found
 
 
