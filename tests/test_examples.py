@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 from pathlib import Path
 from types import ModuleType
 
@@ -13,36 +13,37 @@ from robot_adapters.adapter import IKStatus
 FOLDER = Path(__file__).resolve().parents[1] / "examples"
 
 
-def example(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"example_{name}", FOLDER / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+@pytest.fixture
+def example(monkeypatch):
+    """A function from an example's name to its module; examples find those beside them, as when they are run."""
+    monkeypatch.syspath_prepend(FOLDER)
+
+    def load(name: str) -> ModuleType:
+        return importlib.import_module(name)
+
+    return load
 
 
-def test_a_policy_that_answers_in_torch_chunks_is_followed():
+def test_a_policy_that_answers_in_torch_chunks_is_followed(example):
     assert set(example("wrap_policy").main()) == {IKStatus.REACHED}
 
 
-def test_a_simulated_arm_is_driven_along_a_circle():
+def test_a_simulated_arm_is_driven_along_a_circle(example):
     pytest.importorskip("mujoco")
     command, tool = example("drive_simulated_arm").main(seconds=2.0)
     assert command < 1e-3
     assert 1e-3 < tool < 0.05  # it lags, and is there
 
 
-def test_a_solver_of_ones_own_is_known_by_its_name():
+def test_a_solver_of_ones_own_is_known_by_its_name(example):
     assert example("new_solver").main() < 1e-4
 
 
-def test_lerobots_phone_pipeline_runs_with_mimicik():
+def test_lerobots_phone_pipeline_runs_with_mimicik(example):
     assert set(example("phone_pipeline").main()) == {IKStatus.REACHED}
 
 
-def test_the_pictures_undamped_solver_jumps_and_the_guided_one_does_not(monkeypatch, tmp_path):
-    monkeypatch.syspath_prepend(FOLDER)  # it uses the example beside it
+def test_the_pictures_undamped_solver_jumps_and_the_guided_one_does_not(example, tmp_path):
     picture = example("wrist_singularity")
     trajectory = picture.motion()
     moved = {name: picture.commands(solver, trajectory) for name, solver in picture.solvers().items()}
