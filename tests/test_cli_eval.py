@@ -155,3 +155,18 @@ def test_the_solver_asks_the_policy_the_same_in_every_way(made):
     apart = [make_rollouts("closed_loop", solver, [one])[0] for one in (short, long)]
     for a, b in zip(together, apart, strict=True):
         np.testing.assert_allclose(a.q_cmd, b.q_cmd, atol=1e-5)
+
+
+def test_what_the_robot_runs_is_a_row_and_no_untrained_network_makes_it_worse(made):
+    out = made / "guided"
+    options = [
+        "--modes=closed_loop",
+        "--latency_queries=3",
+        "--solvers=mimicik,guided,mimicik_guided,guided_ahead",
+    ]
+    arguments = [f"--policy.path={made / 'run'}", f"--dataset.root={made / 'data'}", f"--output={out}"]
+    assert main(["eval", *arguments, *options]) == 0
+    rows = {row["solver"]: row for row in json.loads((out / "report.json").read_text())["rows"]}
+    assert rows["mimicik_guided"]["mean_mm"] <= 1.1 * rows["guided"]["position_mean_mm"]
+    assert rows["mimicik_guided"]["mean_mm"] < rows["mimicik"]["position_mean_mm"]
+    assert "guided_ahead" in rows

@@ -50,7 +50,8 @@ class EvalConfig:
     # Where report.html, report.json and report.md go.
     output: str = "outputs/eval"
     # Rows of the table; hold (the arm does not move) is always among them. mimicik is the checkpoint of
-    # --policy.path, and its row is named after its kind: mimicik, mimicik_nofk, mlp or unet_diffusion.
+    # --policy.path, and its row is named after its kind: mimicik, mimicik_nofk, mlp or unet_diffusion;
+    # mimicik_guided is what the adapter makes of it.
     solvers: str = "mimicik,hold"
     # Episodes to use, as numbers and ranges such as 0-9,12; empty: all of them.
     episodes: str = ""
@@ -120,7 +121,7 @@ def run(
     modes = _known(words(config.modes), known_modes(), "--modes")
     names = _known(words(config.solvers), known_solvers(), "--solvers")
     names += [] if "hold" in names else ["hold"]
-    learned = [name for name in names if name in LEARNED]
+    learned = [name for name in names if name in (*LEARNED, "mimicik_guided")]
     if learned and not config.policy.path:
         if words(config.solvers) != words(EvalConfig.solvers):
             raise ValueError(f"--solvers names {learned[0]}, but --policy.path is missing: which checkpoint?")
@@ -135,12 +136,12 @@ def run(
     if learned:
         policy = load_policy(config.policy.path, config.device or None)
         kind = kind_of(policy.config)
-        others = [name for name in learned if name not in ("mimicik", kind)]
+        others = [name for name in learned if name not in ("mimicik", "mimicik_guided", kind)]
         if others:
             raise ValueError(
                 f"--solvers names {others[0]}, but {config.policy.path} is a checkpoint of {kind}."
             )
-        names = list(dict.fromkeys(kind if name in learned else name for name in names))
+        names = list(dict.fromkeys(kind if name in LEARNED else name for name in names))
     description = policy.config.arm_description() if policy is not None else _arm_of_dataset(roots[0])
     layout = Layout.of_policy(policy.config) if policy is not None else Layout()
     if config.joint_units:
@@ -156,7 +157,9 @@ def run(
     solvers: dict[str, IKSolver] = {}
     for name in names:
         try:
-            solvers[name] = make_solver(name, arm, **({"policy": policy} if name == kind else {}))
+            solvers[name] = make_solver(
+                name, arm, **({"policy": policy} if name in learned or name == kind else {})
+            )
         except (SolverUnavailable, ImportError) as error:
             rows.append(unavailable_row(name, str(error)))
     settings = asdict(config) | {"device": str(policy.config.device) if policy is not None else "cpu"}
