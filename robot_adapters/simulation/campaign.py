@@ -210,7 +210,8 @@ class _TruthWatch:
         if listener and any(not isinstance(event, FollowingError) for event in events):
             listener.expect_stillness()
         wrong = bool(np.any(np.abs(arm.read().q - simulation.q) > _WRONG))
-        if not wrong or arm.mode is ArmMode.STOPPED:
+        # A hold is an answer too: the driver has said that it does not trust the feedback, and nothing is tracked by it.
+        if not wrong or arm.mode is not ArmMode.TRACKING:
             self._wrong_since = None
         elif self._wrong_since is None:
             self._wrong_since = now
