@@ -1,6 +1,7 @@
 """`mimicik demo` from nothing to its report on a very small scale; how it treats what is already there."""
 
 import json
+import sys
 
 import pytest
 
@@ -93,6 +94,10 @@ def test_an_unknown_recipe_is_refused_with_where_it_was_looked_for():
         training_process.find_recipe("huge.json")
 
 
-def test_a_failed_training_says_what_lerobot_train_said(tmp_path):
-    with pytest.raises(RuntimeError, match=r"(?s)failed with status.*nonsense"):
+def test_a_failed_training_says_what_it_printed(tmp_path, monkeypatch):
+    # lerobot-train takes ten seconds before it refuses an option.
+    failing = (sys.executable, "-c", "import sys; sys.exit(f'refused {sys.argv[1]}')")
+    monkeypatch.setattr(training_process, "_COMMAND", failing)
+    with pytest.raises(RuntimeError, match=r"(?s)failed with status 1.*refused --nonsense=1"):
         training_process.train(["--nonsense=1"], 5, 1, tmp_path / "logs")
+    assert "refused --nonsense=1" in (tmp_path / "logs" / "train-000000.log").read_text()

@@ -27,18 +27,20 @@ def command(*options):
             process.kill()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_command_answers_until_a_signal_stops_it_cleanly(number):
+def ends_cleanly(process, number):
+    """Whether the command ends at a signal, says what it did, and complains about nothing."""
+    process.send_signal(number)
+    shown, errors = process.communicate(timeout=300)
+    return process.returncode == 0 and "requests answered, 0 refused" in shown and errors == ""
+
+
+def test_the_command_answers_until_a_signal_stops_it_cleanly():
     one = trajectory(5)
     with command("--solvers=hold", "--robot=airbot_play") as (process, address):
         remote = make_solver("remote", airbot(), address=address, solver="hold", timeout_s=300.0)
         with remote:
             np.testing.assert_array_equal(remote.solve_recorded(one.q, one.target), one.q)
-        process.send_signal(number)
-        shown, errors = process.communicate(timeout=300)
-        assert process.returncode == 0
-        assert "requests answered, 0 refused" in shown
-        assert errors == ""
+        assert ends_cleanly(process, signal.SIGINT)
 
 
 def test_keys_are_made_and_serve_a_client_that_has_its_own(tmp_path, capsys):
@@ -52,12 +54,13 @@ def test_keys_are_made_and_serve_a_client_that_has_its_own(tmp_path, capsys):
         "server_key": str(tmp_path / "server" / "server.key"),
     }
     options = [f"--secret-key={tmp_path}/server/server.key_secret", f"--allowed-keys={tmp_path}/robot"]
-    with command(*options) as (_, address):
+    with command(*options) as (process, address):
         options = {"address": address, "solver": "hold", "timeout_s": 300.0} | keys
         with make_solver("remote", airbot(), **options) as remote:
             remote.reset(np.zeros(6))
         with pytest.raises(TimeoutError, match="does the server want keys"):
             make_solver("remote", airbot(), address=address, solver="hold", timeout_s=0.5)
+        assert ends_cleanly(process, signal.SIGTERM)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +71,8 @@ def test_keys_are_made_and_serve_a_client_that_has_its_own(tmp_path, capsys):
         ("--solvers=mimicik", "--policy.path is missing"),
         ("--bind=tcp://0.0.0.0:5555", "must have keys"),
         ("--bind=5555", "tcp://HOST:PORT"),
-        ("--secret_key=x", "--allowed_keys belong together"),
+        (f"--secret_key={__file__}", "--allowed_keys belong together"),
+        ("--secret_key=lost.key_secret", "lost.key_secret does not exist"),
         ("--robot=nowhere", "nowhere"),
         ("--max_rows=0", "max_rows must be at least 1"),
     ],

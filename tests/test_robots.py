@@ -160,8 +160,9 @@ def test_errors_name_the_thing(connected, tmp_path):
         AirbotPlayConfig(max_relative_target=2.0)
     with pytest.raises(ValueError, match="euler"):
         AirbotPlayEEConfig(rotation="euler")
-    robot = make_robot_from_config(AirbotPlayEEConfig(**VIRTUAL, calibration_dir=tmp_path))
-    with pytest.raises(ValueError, match=r"ik\.path is missing"):
+    ik = IKOptions(path="here", address="tcp://there:1")
+    robot = make_robot_from_config(AirbotPlayEEConfig(**VIRTUAL, ik=ik, calibration_dir=tmp_path))
+    with pytest.raises(ValueError, match="which of the two"):
         robot.connect()
     assert not robot.is_connected
     robot = connected(AirbotPlayConfig(**VIRTUAL, gripper=False))
@@ -178,10 +179,12 @@ def test_an_interface_that_does_not_exist_says_what_to_do(tmp_path):
     assert not robot.is_connected
 
 
-@pytest.mark.parametrize("rotation", ["quaternion", "rotation_vector", "rotation_6d"])
-def test_end_effector_space(connected, mimicik_run, rotation):
-    config = AirbotPlayEEConfig(**VIRTUAL, ik=IKOptions(path=str(mimicik_run)), rotation=rotation)
-    robot = connected(config)
+@pytest.mark.parametrize(
+    ("rotation", "learned"), [("quaternion", True), ("rotation_vector", False), ("rotation_6d", False)]
+)
+def test_end_effector_space_with_a_checkpoint_and_without(connected, mimicik_run, rotation, learned):
+    ik = IKOptions(path=str(mimicik_run)) if learned else IKOptions()
+    robot = connected(AirbotPlayEEConfig(**VIRTUAL, ik=ik, rotation=rotation))
     assert list(robot.action_features)[:3] == ["ee.x.pos", "ee.y.pos", "ee.z.pos"]
     assert list(robot.action_features)[-1] == "ee.gripper.pos"
     before = robot.get_observation()
@@ -194,6 +197,7 @@ def test_end_effector_space(connected, mimicik_run, rotation):
     assert abs(after["ee.x.pos"] - before["ee.x.pos"]) < 0.01
     assert robot.simulation.warnings == 0
     assert robot.ik_result is not None
+    assert learned or robot.ik_result.source == "guided"
 
 
 def test_the_ik_may_answer_from_another_computer(connected):
@@ -205,8 +209,6 @@ def test_the_ik_may_answer_from_another_computer(connected):
         follow(robot, "ee.z.pos", 0.03)
         assert robot.get_observation()["ee.z.pos"] - before > 0.02
         robot.disconnect()
-    with pytest.raises(ValueError, match="which of the two"):
-        IKOptions(path="here", address="tcp://there:1").load()
 
 
 def test_a_pose_that_is_none_holds_the_arm(connected, mimicik_run, caplog):
