@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import itertools
 import math
-import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
-from lerobot_mimicik.kinematics.array_chain import Pose, array_chain, compose, rotation_from_rpy
-from lerobot_mimicik.kinematics.urdf import Joint, read_urdf
+from lerobot_mimicik.kinematics.array_chain import array_chain
+from lerobot_mimicik.kinematics.shapes import Shape, read_shapes
 
 
 class ArmCollision:
@@ -107,61 +106,24 @@ class ArmCollision:
 
 def _spheres(description: ArmDescription) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
     """Sphere centres by body, in the body's frame; all radii (S,) and bodies (S,), body by body."""
-    chain = array_chain(description)
-    robot = ElementTree.fromstring(description.urdf)
-    shapes = {link.get("name", ""): link.findall("collision") for link in robot.findall("link")}
-    beside = _fixed_children(description, tuple(chain.links))
-    found: list[list[tuple[np.ndarray, float]]] = [[] for _ in range(chain.dof + 1)]
-    for link, (body, body_link) in chain.links.items():
-        for name, link_child in [(link, (np.eye(3), np.zeros(3))), *beside.get(link, [])]:
-            rotation, position = compose(body_link, link_child)
-            for shape in shapes.get(name, []):
-                found[body] += [(position + rotation @ centre, radius) for centre, radius in _cover(shape)]
+    found: list[list[tuple[np.ndarray, float]]] = [[] for _ in range(array_chain(description).dof + 1)]
+    for shape in read_shapes(description):
+        found[shape.body] += _cover(shape)
     centres = [np.array([centre for centre, _ in own]).reshape(-1, 3) for own in found]
     radii = np.array([radius for own in found for _, radius in own])
     bodies = np.repeat(np.arange(len(found)), [len(own) for own in found])
     return centres, radii, bodies
 
 
-def _fixed_children(
-    description: ArmDescription, on_path: tuple[str, ...]
-) -> dict[str, list[tuple[str, Pose]]]:
-    """Links off the chain (a camera, a gripper body) that fixed joints tie to a link of it: T_link_child."""
-    below: dict[str, list[Joint]] = {}
-    for joint in read_urdf(description.urdf).joints:
-        if joint.type == "fixed" and joint.child not in on_path:
-            below.setdefault(joint.parent, []).append(joint)
-    found: dict[str, list[tuple[str, Pose]]] = {}
-    for link in on_path:
-        stack: list[tuple[str, Pose]] = [(link, (np.eye(3), np.zeros(3)))]
-        while stack:
-            name, pose = stack.pop()
-            for joint in below.get(name, []):
-                origin = (rotation_from_rpy(joint.origin_rpy), np.array(joint.origin_xyz))
-                child = (joint.child, compose(pose, origin))
-                found.setdefault(link, []).append(child)
-                stack.append(child)
-    return found
-
-
-def _cover(shape: ElementTree.Element) -> list[tuple[np.ndarray, float]]:
-    """Spheres (centre in the link's frame, radius) that cover a collision element; none for a mesh."""
-    geometry = shape.find("geometry")
-    if geometry is None or len(geometry) == 0:
-        return []
-    origin = shape.find("origin")
-    xyz = _triple(origin, "xyz") if origin is not None else np.zeros(3)
-    rotation = rotation_from_rpy(tuple(_triple(origin, "rpy"))) if origin is not None else np.eye(3)
-    kind = geometry[0]
-    if kind.tag == "sphere":
-        half: np.ndarray = np.full(3, float(kind.get("radius", "0")))
-    elif kind.tag in ("cylinder", "capsule"):
-        radius, length = float(kind.get("radius", "0")), float(kind.get("length", "0"))
-        half = np.array([radius, radius, length / 2])
-    elif kind.tag == "box":
-        half = _triple(kind, "size") / 2
+def _cover(shape: Shape) -> list[tuple[np.ndarray, float]]:
+    """Spheres (centre in the body's frame, radius) that cover a shape."""
+    if shape.kind == "sphere":
+        half: np.ndarray = np.full(3, shape.size[0])
+    elif shape.kind == "box":
+        half = np.array(shape.size) / 2
     else:
-        return []
+        radius, length = shape.size
+        half = np.array([radius, radius, length / 2])
     # Balls of the middle half-extent in a row along the longest: they overlap by half and fill the thickness.
     axis = int(np.argmax(half))
     radius = float(np.sort(half)[1])
@@ -169,15 +131,5 @@ def _cover(shape: ElementTree.Element) -> list[tuple[np.ndarray, float]]:
         return []
     reach = max(0.0, float(half[axis]) - radius)
     offsets = np.linspace(-reach, reach, 1 + math.ceil(2 * reach / radius))
-    return [(xyz + rotation @ (np.eye(3)[axis] * offset), radius) for offset in offsets]
-
-
-def _triple(element: ElementTree.Element, key: str) -> np.ndarray:
-    text = element.get(key, "0 0 0")
-    try:
-        values = np.array([float(word) for word in text.split()])
-    except ValueError:
-        values = np.array([])
-    if values.shape != (3,) or not np.isfinite(values).all():
-        raise ValueError(f"collision shape: {key}={text!r} is not three finite numbers")
-    return values
+    rotation, position = shape.pose
+    return [(position + rotation @ (np.eye(3)[axis] * offset), radius) for offset in offsets]

@@ -1,0 +1,135 @@
+"""The primitive shapes of an arm's links, as its URDF draws them: boxes, cylinders, capsules and spheres.
+
+Meshes are left out. Every shape is placed on the body (see `ArrayChain`) that carries it.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.array_chain import Pose, array_chain, compose, rotation_from_rpy
+from lerobot_mimicik.kinematics.urdf import Joint, read_urdf
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One shape on a body.
+
+    Attributes:
+        kind: `box`, `cylinder`, `capsule` or `sphere`.
+        size: Its edges x y z; radius and length along z (a capsule's without its caps); its radius [m].
+        body: The body that carries it, as `ArrayChain` counts.
+        pose: Of the shape in the body's frame.
+        colour: Red, green and blue from 0 to 1; None where the URDF names none.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    body: int
+    pose: Pose
+    colour: tuple[float, ...] | None = None
+
+
+def read_shapes(description: ArmDescription, purpose: str = "collision", moving: bool = False) -> list[Shape]:
+    """The shapes of the links from base to tip and of what is fixed to them, link by link.
+
+    Args:
+        description: The arm.
+        purpose: `collision` or `visual`; a link that has none of the visual kind is drawn as it collides.
+        moving: Whether links off the chain that joints move (fingers) count too, at the joints' zero.
+
+    Raises:
+        ValueError: A size or an origin is not made of finite numbers.
+    """
+    chain = array_chain(description)
+    robot = ElementTree.fromstring(description.urdf)
+    links = {link.get("name", ""): link for link in robot.findall("link")}
+    colours = {element.get("name", ""): _colour(element, {}) for element in robot.findall("material")}
+    beside = _links_beside(description, tuple(chain.links), moving)
+    found: list[Shape] = []
+    for link, (body, body_link) in chain.links.items():
+        for name, link_child in [(link, (np.eye(3), np.zeros(3))), *beside.get(link, [])]:
+            at = compose(body_link, link_child)
+            shapes = _shapes_of(links[name], purpose, body, at, colours)
+            if not shapes and purpose == "visual":
+                shapes = _shapes_of(links[name], "collision", body, at, colours)
+            found += shapes
+    return found
+
+
+def _shapes_of(
+    link: ElementTree.Element, purpose: str, body: int, at: Pose, colours: dict[str, tuple[float, ...] | None]
+) -> list[Shape]:
+    found = []
+    for element in link.findall(purpose):
+        geometry = element.find("geometry")
+        if geometry is None or len(geometry) == 0:
+            continue
+        kind, size = geometry[0].tag, _size(geometry[0])
+        if not size or min(size) < 0 or size[0] <= 0:
+            continue
+        origin = element.find("origin")
+        pose = compose(at, _origin(origin)) if origin is not None else at
+        found.append(Shape(kind, size, body, pose, _colour(element.find("material"), colours)))
+    return found
+
+
+def _links_beside(
+    description: ArmDescription, on_path: tuple[str, ...], moving: bool
+) -> dict[str, list[tuple[str, Pose]]]:
+    """Links off the chain (a camera, a gripper body) that joints tie to a link of it: T_link_child."""
+    below: dict[str, list[Joint]] = {}
+    for joint in read_urdf(description.urdf).joints:
+        if (moving or joint.type == "fixed") and joint.child not in on_path:
+            below.setdefault(joint.parent, []).append(joint)
+    found: dict[str, list[tuple[str, Pose]]] = {}
+    for link in on_path:
+        stack: list[tuple[str, Pose]] = [(link, (np.eye(3), np.zeros(3)))]
+        while stack:
+            name, pose = stack.pop()
+            for joint in below.get(name, []):
+                origin = (rotation_from_rpy(joint.origin_rpy), np.array(joint.origin_xyz))
+                child = (joint.child, compose(pose, origin))
+                found.setdefault(link, []).append(child)
+                stack.append(child)
+    return found
+
+
+def _size(geometry: ElementTree.Element) -> tuple[float, ...]:
+    """As `Shape.size`; empty for a mesh."""
+    if geometry.tag == "box":
+        return _numbers(geometry, "size", 3)
+    if geometry.tag == "sphere":
+        return _numbers(geometry, "radius", 1)
+    if geometry.tag in ("cylinder", "capsule"):
+        return (*_numbers(geometry, "radius", 1), *_numbers(geometry, "length", 1))
+    return ()
+
+
+def _origin(element: ElementTree.Element) -> Pose:
+    roll, pitch, yaw = _numbers(element, "rpy", 3)
+    return rotation_from_rpy((roll, pitch, yaw)), np.array(_numbers(element, "xyz", 3))
+
+
+def _colour(
+    material: ElementTree.Element | None, named: dict[str, tuple[float, ...] | None]
+) -> tuple[float, ...] | None:
+    if material is None:
+        return None
+    own = material.find("color")
+    return named.get(material.get("name", "")) if own is None else _numbers(own, "rgba", 4)[:3]
+
+
+def _numbers(element: ElementTree.Element, key: str, count: int) -> tuple[float, ...]:
+    text = element.get(key, " ".join(["0"] * count))
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != count or not np.isfinite(values).all():
+        raise ValueError(f"shape of the URDF: {key}={text!r} is not made of {count} finite numbers")
+    return values
