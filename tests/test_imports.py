@@ -12,7 +12,9 @@ ROOT = Path(__file__).resolve().parents[1]
 # Each room and the rooms that it may import; what is imported for annotations only counts nowhere.
 _FOUNDATION = {"kinematics", "guidance"}
 _POLICY = {"configuration", "batches", "policy", "inference", "checkpoints"}
-_LEARNING = _FOUNDATION | _POLICY | {"outputs", "solvers", "data", "evaluation", "serving", "publishing"}
+_LEARNING = (
+    _FOUNDATION | _POLICY | {"outputs", "solvers", "data", "evaluation", "serving", "publishing", "viewing"}
+)
 _DRIVER = {"clock", "can", "airbot"}
 ALLOWED = {
     "outputs": set(),  # how commands treat folders that exist
@@ -32,6 +34,7 @@ ALLOWED = {
     "data": {"kinematics", "outputs"},
     "evaluation": _FOUNDATION | {"outputs", "configuration", "solvers", "data", "checkpoints"},
     "serving": {"kinematics", "solvers"},
+    "viewing": _FOUNDATION | {"solvers", "data", "evaluation"},
     "publishing": {"kinematics", "configuration", "evaluation"},
     "cli": _LEARNING,
     "clock": set(),
