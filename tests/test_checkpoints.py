@@ -120,7 +120,7 @@ def test_wrapped_weights_load_strictly_too():
     from robot_adapters.processor_steps import EEActionToJoints
 
     sizes = {"d_model": 16, "n_layers": 1, "n_heads": 2, "d_ff": 16}
-    step = EEActionToJoints(policy={"device": "cpu", **sizes})
+    step = EEActionToJoints(policy={"device": "cpu", **sizes}, joint_units="rad")
     sound = step.state_dict()
     step.load_state_dict(sound)
     with pytest.raises(CheckpointError, match=r"delta\.upper is missing"):
