@@ -21,6 +21,7 @@ def train_mimicik(folder: Path) -> Path:
         describe_arm("airbot_play"),
         seed=3,
         progress=False,
+        workers=1,
         config=SyntheticConfig(ood_s=20.0),
     )
     run_here(
@@ -42,7 +43,14 @@ def train_mimicik(folder: Path) -> Path:
 def train_act(folder: Path) -> Path:
     """A small ACT policy in end-effector space: its training run's folder. Data in `folder`/ee."""
     make_synthetic(
-        folder / "ee", 12, describe_arm("airbot_play"), seed=4, ood=False, progress=False, space="ee"
+        folder / "ee",
+        12,
+        describe_arm("airbot_play"),
+        seed=4,
+        ood=False,
+        progress=False,
+        workers=1,
+        space="ee",
     )
     run_here(
         "lerobot.scripts.lerobot_train",
