@@ -276,7 +276,7 @@ def _play(page, browser, frames: int) -> None:
 
 def _shown(page, browser):
     """Wait until a camera looks at the scene; a function from a point (3,) to where it is seen on the page, px."""
-    until = time.monotonic() + 120  # no verdict, only an end
+    until = time.monotonic() + 300  # no verdict, only an end
     while not (clients := page.server.get_clients()) or next(iter(clients.values())).camera.image_width == 0:
         assert time.monotonic() < until, "no browser connected"
         _play(page, browser, 1)
