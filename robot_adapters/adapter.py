@@ -304,15 +304,17 @@ class MimicIKAdapter:
         if poses.ndim != 2 or poses.shape[1] != 7:
             raise ValueError(f"expected upcoming target poses of shape (T, 7), got shape {poses.shape}")
         poses = poses[: self.settings.horizon - 1]
-        for t, pose in enumerate(poses):
+        while len(poses):
             try:
-                poses[t] = self._pose(pose)
+                return self._pose(poses)
             except ValueError:
-                return poses[:t] if t else None
-        return poses
+                poses = poses[:-1]
+        return None
 
     def _pose(self, target: Array) -> Array:
-        """Seven numbers as a pose of this arm with a unit quaternion; ValueError with the reason for others."""
+        """Seven numbers, or rows of them, as poses of this arm with unit quaternions; ValueError with the reason for
+        others.
+        """
         if not np.isfinite(target).all():
             raise ValueError(f"the target is not finite: {target.tolist()}")
         pose = decode_pose(target, PoseFormat.QUATERNION)

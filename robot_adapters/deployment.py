@@ -1,8 +1,8 @@
 """Driving an arm along end-effector targets, frame by frame, and keeping what happened.
 
-target_t ──> controller(q measured, target) ──> joint command ──> driver (safety) ──> bus ──> arm
-                      ^                                                                       │
-                      └────────────────────────── q measured ────────────────────────────────┘
+target_t ──> controller(q measured, target, upcoming) ──> joint command ──> driver (safety) ──> bus ──> arm
+                      ^                                                                                 │
+                      └────────────────────────────── q measured ──────────────────────────────────────┘
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from robot_adapters.airbot.arm import AirbotArm, ArmState, CommandResult
 
 Array = NDArray[np.float64]
-Controller = Callable[[Array, Array], Array]
-"""Measured joints (dof,) [rad] and the frame's target `T_base_tool` (7,) to a joint command (dof,) [rad]."""
+Controller = Callable[[Array, Array, Array], Array]
+"""Measured joints (dof,) [rad], the frame's target `T_base_tool` (7,) and those of all later frames (T, 7) to a joint
+command (dof,) [rad]."""
 
 _APPROACH_STEP = 0.05  # rad per frame on the way to where a trajectory begins
 _SETTLING = 15  # frames there until the arm has caught up
@@ -117,7 +118,7 @@ def drive(
         state = arm.read()
         log.before[frame] = arm.target()
         asked = timer()
-        command = controller(state.q, target)
+        command = controller(state.q, target, targets[frame + 1 :])
         log.solve_ms.append((timer() - asked) * 1e3)
         result = arm.command(command)
         log.work_ms.append((timer() - start) * 1e3)

@@ -1,13 +1,12 @@
 """A joint-space policy made of an end-effector policy and the adapter: what `MimicIKAdapter.wrap` returns.
 
 observation ──> end-effector policy ──> poses T_base_target, one or a chunk of them (+ gripper)
-                                             │ one a step
+                                             │ one a step, and those after it as `upcoming`
 measured joints ───────────────────────> MimicIKAdapter ──> joint command (+ gripper)
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -46,31 +45,37 @@ class EndEffectorPolicy:
         Args:
             adapter: the arm's inverse kinematics.
             policy: one of
-                - a LeRobot policy (`select_action`, or only `predict_action_chunk`): the observation becomes a
-                  batch of one;
+                - a LeRobot policy (`select_action`, or `predict_action_chunk` where there is no other or
+                  `actions_per_chunk` is given): the observation becomes a batch of one;
                 - a client (`infer`), as remote VLA servers have: a mapping with `actions`, or an array;
                 - a function of the observation.
                 Each answers with (d,), or a chunk (T, d), or a batch of one chunk (1, T, d), in numpy or torch;
                 d is the pose's width, and one more with a gripper.
             frames: format, reference, tool and base frame of the policy's poses.
-            actions_per_chunk: poses used of a chunk before the policy is asked again; None: all.
+            actions_per_chunk: poses used of a chunk before the policy is asked again; None: all. The arm looks ahead
+                at those that are not used, too. LeRobot's `select_action` hides its chunk, so that nothing is known
+                of the future: with a number the policy is asked for chunks.
             sees_joints: whether the policy's `observation.state` is the joints as measured; else it is the
                 end-effector pose in `frames.form`, and the gripper where there is one.
             preprocessor, postprocessor: a LeRobot policy's own.
 
         Raises:
             TypeError: if `policy` is none of these.
+            ValueError: `actions_per_chunk` is not positive.
         """
+        if actions_per_chunk is not None and actions_per_chunk < 1:
+            raise ValueError(f"actions_per_chunk={actions_per_chunk}: expected 1 or more, or None for all")
         self.adapter, self.policy, self.frames = adapter, policy, frames
         self.actions_per_chunk, self.sees_joints = actions_per_chunk, sees_joints
         self.preprocessor, self.postprocessor = preprocessor, postprocessor
         self._ask = self._find_call(policy)
-        self._targets: deque[tuple[Array, float | None]] = deque()
+        self._targets: Array = np.empty((0, 7))  # of the chunk in use, from the next one on
+        self._openings: list[float | None] = []  # of those that are used before the policy is asked again
         self.result: IKResult | None = None
 
     def reset(self) -> None:
         """Forget the past, the chunk in use included: call it when an episode starts."""
-        self._targets.clear()
+        self._openings.clear()
         self.adapter.reset()
         self.result = None
         for part in (self.policy, self.preprocessor, self.postprocessor):
@@ -95,10 +100,11 @@ class EndEffectorPolicy:
             ValueError: a state or an answer of a wrong shape, or an answer that is no pose.
         """
         joints, gripper = self._split(observation)
-        if not self._targets:
-            self._targets.extend(self._targets_of(observation, joints, gripper))
-        target, opening = self._targets.popleft()
-        self.result = self.adapter.solve(joints, target)
+        if not self._openings:
+            self._targets, self._openings = self._chunk(observation, joints, gripper)
+        target, self._targets = self._targets[0], self._targets[1:]
+        opening = self._openings.pop(0)
+        self.result = self.adapter.solve(joints, target, upcoming=self._targets)
         opening = gripper if opening is None else opening
         return self.result.q if opening is None else np.append(self.result.q, opening)
 
@@ -114,9 +120,10 @@ class EndEffectorPolicy:
             )
         return state[:dof], float(state[dof]) if len(state) > dof else None
 
-    def _targets_of(
+    def _chunk(
         self, observation: Mapping[str, Any], joints: Array, gripper: float | None
-    ) -> list[tuple[Array, float | None]]:
+    ) -> tuple[Array, list[float | None]]:
+        """The policy's answer as poses `T_base_target` (T, 7), and openings of those that are used."""
         pose = self.adapter.forward(joints)
         seen = dict(observation)
         as_given = np.shape(observation[STATE])[:-1]  # (), or (1,) for a batch of one
@@ -137,17 +144,22 @@ class EndEffectorPolicy:
                 f"{width + 1} with a gripper: one (d,), a chunk (T, d) or a batch of one chunk (1, T, d). Other "
                 f"formats: PolicyFrames(form=...) with {', '.join(PoseFormat)}"
             )
-        rows = np.atleast_2d(answer)[: self.actions_per_chunk]
-        if not np.isfinite(rows).all():
+        rows = np.atleast_2d(answer)
+        used = rows[: self.actions_per_chunk]
+        if not np.isfinite(used).all():
             # The adapter holds at a target that is not finite, and says so.
-            return [(np.full(7, np.nan), None)]
+            return np.full((1, 7), np.nan), [None]
         # A chunk's relative poses all refer to the pose at which the policy was asked.
-        targets = self.frames.from_policy(rows[:, :width], pose)
-        openings = rows[:, width].tolist() if rows.shape[1] > width else [None] * len(rows)
-        return list(zip(targets, openings, strict=True))
+        try:
+            targets = self.frames.from_policy(rows[:, :width], pose)
+        except ValueError:  # perhaps in what is not used: padding, say
+            targets = self.frames.from_policy(used[:, :width], pose)
+        openings = used[:, width].tolist() if rows.shape[1] > width else [None] * len(used)
+        return targets, openings
 
     def _find_call(self, policy: Any) -> Callable[[dict[str, Any]], Array]:
-        for method in ("select_action", "predict_action_chunk"):
+        methods = ("select_action", "predict_action_chunk")
+        for method in methods if self.actions_per_chunk is None else reversed(methods):
             if callable(getattr(policy, method, None)):
                 call = getattr(policy, method)
                 return lambda observation: self._ask_lerobot(call, observation)

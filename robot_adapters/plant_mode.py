@@ -10,11 +10,9 @@ lag, quantum and noise. Time is simulated, so that the result does not depend on
 
 from __future__ import annotations
 
-import itertools
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
 from tqdm import tqdm
@@ -73,12 +71,9 @@ def _drive_all(
                 cell.arm.connect()
                 solver.reset(trajectory.q[:1] if solver.batched else trajectory.q[0])
 
-                # The arm asks once a frame, in order.
-                after = map(partial(_following, trajectory.target, solver.look_ahead), itertools.count(1))
-
-                def ask(q: Array, target: Array, after: Iterator[Array] = after) -> Array:
+                def ask(q: Array, target: Array, upcoming: Array) -> Array:
                     if solver.look_ahead:
-                        solver.foresee(next(after))
+                        solver.foresee(upcoming[: solver.look_ahead])
                     q = q if measured else cell.arm.target()
                     answer = (
                         solver.solve(q[None], target[None])[0] if solver.batched else solver.solve(q, target)
@@ -92,11 +87,6 @@ def _drive_all(
     return rollouts
 
 
-def _following(targets: Array, many: int, frame: int) -> Array:
-    """The `many` targets (T, 7) from a frame on."""
-    return targets[frame : frame + many]
-
-
 def refuse_another_arm(trajectory: Trajectory) -> None:
     """Refuse a motion that is not an AIRBOT Play's, by its joints and, where its arm is known, by that.
 
@@ -106,7 +96,7 @@ def refuse_another_arm(trajectory: Trajectory) -> None:
         ValueError: it is another arm's.
     """
     own, other = describe_arm("airbot_play"), trajectory.arm
-    beginning = f"the modes plant drive an AIRBOT Play; trajectory {trajectory.index} is of another arm"
+    beginning = f"the arm that is driven is an AIRBOT Play; trajectory {trajectory.index} is of another arm"
     dof = trajectory.q.shape[1]
     if dof != len(own.joint_names):
         raise ValueError(f"{beginning}, with {dof} joints: expected {len(own.joint_names)}")

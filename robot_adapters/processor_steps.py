@@ -234,8 +234,10 @@ class StateAsEnvironment(ObservationProcessorStep):
 class EEActionToJoints(AbsoluteActionsProcessorStep):
     """Poses that a policy answered with to joint commands; the MimicIK weights are this step's state.
 
-    Where a whole chunk passes without a new observation in between (asynchronous inference), each pose starts
-    from the command before it.
+    A chunk (1, T, d), as LeRobot's real-time chunking hands it over, is planned with all its poses in view. LeRobot's
+    asynchronous inference hands its chunks over pose by pose: each starts from the command before it, and nothing
+    is known of the next. After a chunk of either kind, which is carried out while the policy thinks, it is not known
+    which command is in force when the next observation comes: the next chunk starts from the measured joints.
 
     Attributes:
         policy: the MimicIK policy's configuration.
@@ -266,6 +268,7 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
         self._frames = make_frames(self.rotation, self.tool)
         self.adapter = self._make_adapter()
         self._last: NDArray[np.float64] | None = None
+        self._answered = 0  # commands since the last observation
 
     def _make_adapter(self) -> MimicIKAdapter:
         from lerobot_mimicik.kinematics.chain import SerialArm
@@ -288,32 +291,43 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
         rows = action.reshape(-1, action.shape[-1]).detach().double().cpu().numpy()
         if action.ndim > 1 and action.shape[0] != 1:
             raise ValueError(f"one arm at a time: got a batch of {action.shape[0]}")
-        answers = torch.as_tensor(np.stack([self._solve(row) for row in rows]), dtype=action.dtype)
+        answers = torch.as_tensor(self._solve(rows), dtype=action.dtype)
         changed = transition.copy()
         changed[TransitionKey.ACTION] = answers.reshape(*action.shape[:-1], -1).to(action.device)
         return changed
 
-    def _solve(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _solve(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Joints and grippers (T, dof or dof + 1) of consecutive poses and grippers."""
         if not isinstance(self.relative_step, JointsToEEState):
             raise RuntimeError(
                 "the postprocessor is not connected to its preprocessor: load the two together, with LeRobot's "
                 "make_pre_post_processors"
             )
         taken = self.relative_step.take_joints()
-        measured = self._last if taken is None else taken
-        if measured is None:
+        if taken is not None:
+            if self._answered > 1:
+                self.adapter.reset()
+            self._last, self._answered = taken, 0
+        if self._last is None:
             raise RuntimeError("no joints yet: an observation must pass the preprocessor before an action")
         width = self._frames.form.width
-        if len(row) not in (width, width + 1):
-            raise ValueError(f"expected a pose of {width} numbers, with or without a gripper, got {len(row)}")
+        if rows.shape[1] not in (width, width + 1):
+            raise ValueError(
+                f"expected a pose of {width} numbers, with or without a gripper, got {rows.shape[1]}"
+            )
+        pose = self.adapter.forward(self._last)
+        targets = np.stack([self._target(row, pose) for row in rows[:, :width]])
+        results = self.adapter.solve_chunk(self._last, targets)
+        self.result = results[-1]
+        self._last, self._answered = self.result.q, self._answered + len(results)
+        q = np.stack([result.q for result in results]) / _to_rad(self.joint_units)
+        return np.concatenate([q, rows[:, width:]], axis=1)
+
+    def _target(self, numbers: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
         try:
-            target = self._frames.from_policy(row[:width], self.adapter.forward(measured))
+            return self._frames.from_policy(numbers, pose)
         except ValueError:
-            target = np.full(7, np.nan)  # no rotation: the adapter holds and says so
-        self.result = self.adapter.solve(measured, target)
-        self._last = self.result.q
-        q = np.degrees(self._last) if self.joint_units == "deg" else self._last
-        return np.concatenate([q, row[width:]])
+            return np.full(7, np.nan)  # no rotation: the adapter holds and says so
 
     def get_config(self) -> dict[str, Any]:
         """What the checkpoint stores beside the weights."""
@@ -344,7 +358,7 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
         if isinstance(self.relative_step, JointsToEEState):
             self.relative_step.reset()
         self.adapter.reset()
-        self._last = self.result = None
+        self._last, self._answered, self.result = None, 0, None
 
     def transform_features(self, features: Features) -> Features:
         """Not known to the policy's pipeline."""

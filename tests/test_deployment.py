@@ -95,7 +95,7 @@ def test_adapter_over_the_bus_tracks_without_a_limit_touched(circle):
         log = drive(
             cell.arm,
             cell.clock,
-            lambda q, t: adapter.solve(q, t).q,
+            lambda q, t, _: adapter.solve(q, t).q,
             circle.target,
             20.0,
             cell.clock.monotonic,
@@ -118,7 +118,7 @@ def test_a_drive_ends_where_the_arm_stops(circle):
         log = drive(
             cell.arm,
             cell.clock,
-            lambda q, t: adapter.solve(q, t).q,
+            lambda q, t, _: adapter.solve(q, t).q,
             circle.target,
             20.0,
             cell.clock.monotonic,
@@ -131,7 +131,7 @@ def test_a_drive_ends_at_a_command_that_is_not_finite(circle):
     with SimulatedCell(q=HOME) as cell:
         cell.arm.connect()
         log = drive(
-            cell.arm, cell.clock, lambda q, t: np.full(6, np.nan), circle.target, 20.0, cell.clock.monotonic
+            cell.arm, cell.clock, lambda *_: np.full(6, np.nan), circle.target, 20.0, cell.clock.monotonic
         )
     assert log.asked == 1
     assert log.statuses == {"refused": 1}
@@ -164,7 +164,7 @@ def check_deploy_command(mimicik_run, tmp_path, *options: str) -> None:
         == 0
     )
     (row,) = json.loads((out / "report.json").read_text())["rows"]
-    assert (row["mode"], row["solver"], row["frames"]) == ("plant", "mimicik", 100)
+    assert (row["mode"], row["solver"], row["frames"]) == ("plant", "mimicik_guided", 100)
     assert row["estop"] == 0
     summary = json.loads((out / "deployment.json").read_text())
     assert summary["frames"] == 100

@@ -71,6 +71,45 @@ def test_a_rollout_takes_a_remote_solver_for_any_other(address):
         np.testing.assert_array_equal(a.q_cmd, b.q_cmd)
 
 
+@pytest.mark.parametrize("name", ["guided", "guided_ahead"])
+def test_looking_ahead_through_a_server_is_looking_ahead_here(name):
+    one = trajectory(12)
+    here, there = make_solver(name, airbot()), {name: partial(make_solver, name, airbot())}
+    with serving(factories=there) as server, connect(server.address, name) as remote:
+        assert remote.look_ahead == here.look_ahead
+        for a, b in zip(*(make_rollouts("closed_loop", each, [one]) for each in (here, remote)), strict=True):
+            np.testing.assert_array_equal(a.q_cmd, b.q_cmd)
+        # Only what the solver looks at travels, and it holds for one question.
+        for solver in (here, remote):
+            solver.reset(one.q[0])
+            solver.foresee(one.target[1 : 1 + solver.look_ahead])
+        for t in range(2):
+            np.testing.assert_array_equal(
+                here.solve(one.q[t], one.target[t]), remote.solve(one.q[t], one.target[t])
+            )
+
+
+def test_a_future_that_is_none_is_refused_and_the_session_goes_on():
+    with (
+        serving(factories={"guided_ahead": partial(make_solver, "guided_ahead", airbot())}) as server,
+        connect(server.address, "guided_ahead") as remote,
+    ):
+        remote.reset(HOME)
+        question = [protocol.encode_array(HOME), protocol.encode_array(POSE)]
+        for upcoming, message in (
+            (np.tile(POSE, (8, 1)), "up to 7 targets"),
+            (POSE, "up to 7 targets"),
+            (np.full((2, 7), np.nan), "upcoming: holds numbers that are not finite"),
+            (np.zeros((2, 7)), "upcoming: a quaternion"),
+            (np.zeros((2, 3)), "upcoming: expected shape"),
+        ):
+            with pytest.raises(BadRequestError, match=message):
+                remote._ask("solve", *question, protocol.encode_array(upcoming))
+        with pytest.raises(BadRequestError, match="takes 2 or 3 arguments, got 4"):
+            remote._ask("solve", *question, *question)
+        assert np.isfinite(remote.solve(HOME, POSE)).all()
+
+
 @pytest.fixture(scope="module")
 def policy():
     """A small policy with random weights, that was trained on small steps."""

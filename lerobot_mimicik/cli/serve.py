@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 HELP = "Answer IK questions of other processes and computers, for any solver, over ZeroMQ."
 
+_LEARNED = ("mimicik", "mimicik_guided")  # solvers that need the checkpoint
+
 
 @dataclass
 class ServeConfig:
@@ -133,13 +135,14 @@ def _solvers(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], IKS
     unknown = [name for name in names if name not in known]
     if unknown:
         raise ValueError(f"--solvers: unknown {', '.join(unknown)}; known are {', '.join(known)}.")
-    if "mimicik" in names and not config.policy.path:
-        raise ValueError("--solvers names mimicik, but --policy.path is missing: which checkpoint?")
+    learned = [name for name in names if name in _LEARNED]
+    if learned and not config.policy.path:
+        raise ValueError(f"--solvers names {learned[0]}, but --policy.path is missing: which checkpoint?")
     options: dict[str, dict[str, object]] = {}
     description = describe_arm(config.robot or "airbot_play")
-    if "mimicik" in names:
+    if learned:
         policy = load_policy(config.policy.path, config.device or None)
-        options["mimicik"] = {"policy": policy}
+        options = {name: {"policy": policy} for name in learned}
         own = policy.config.arm_description()
         if config.robot and own.joint_names != description.joint_names:
             raise ValueError(

@@ -105,8 +105,8 @@ class Guidance:
         self._branch.cancel()
 
     def commanded(self, q: Array) -> None:
-        """Say that `q` (dof,) was sent in place of the last command."""
-        if self._past is not None:
+        """Say that `q` (dof,) was sent in place of the last command; where it is that command, the plan stays."""
+        if self._past is not None and not np.array_equal(q, self._past[2]):
             self._past[2] = q
             self._plan = None
 

@@ -67,6 +67,7 @@ class IKClient(IKSolver):
         self._max_bytes: int | None = None
         self._number = 0
         self.session = b""
+        self._upcoming: Array | None = None
         self._closed = False
         self._socket = self._connect()
         try:
@@ -81,7 +82,8 @@ class IKClient(IKSolver):
             self.joint_names = tuple(str(joint) for joint in info["joint_names"])
             solvers = dict(info["solvers"])
             max_bytes = int(info["max_bytes"])
-            # A server from before they travelled has none.
+            # A server from before they travelled has neither.
+            look_ahead = int(info.get("look_ahead", {}).get(self.solver, 0))
             step_range = info.get("step_ranges", {}).get(self.solver)
             bounds = None if step_range is None else np.array(step_range, dtype=float)
             if bounds is not None and (bounds.shape != (2, 6) or not np.isfinite(bounds).all()):
@@ -97,6 +99,7 @@ class IKClient(IKSolver):
             )
         self.batched = bool(solvers[self.solver])
         self._max_bytes = max_bytes
+        self.look_ahead = look_ahead
         self._step_range = None if bounds is None else (bounds[0], bounds[1])
 
     @property
@@ -120,6 +123,7 @@ class IKClient(IKSolver):
 
     def reset(self, q: Array) -> None:
         """Forget all history on the server; (dof,) or (B, dof). Opens a session if there is none (any more)."""
+        self._upcoming = None
         known, self.session = self.session, self._ask("reset", self.solver, _floats(q))
         if known and known != self.session:
             # Perhaps another server than at first: it may have another solver of that name.
@@ -127,7 +131,13 @@ class IKClient(IKSolver):
 
     def solve(self, q_curr: Array, target_pose: Array) -> Array:
         """The server's command; (dof,) and (7,), or where ``batched`` (B, dof) and (B, 7)."""
-        return self._commands("solve", q_curr, target_pose)
+        upcoming, self._upcoming = self._upcoming, None
+        return self._commands("solve", q_curr, target_pose, *([] if upcoming is None else [upcoming]))
+
+    def foresee(self, upcoming: Array) -> None:
+        """Targets (T, 7) after the next one, sent with it as far as the server's solver makes use of them."""
+        following = np.asarray(upcoming)[: self.look_ahead]
+        self._upcoming = following if len(following) else None
 
     def solve_recorded(self, q_curr: Array, target_pose: Array) -> Array:
         """The server's answers along one recording, in one request."""
@@ -156,11 +166,11 @@ class IKClient(IKSolver):
     ) -> None:
         self.close()
 
-    def _commands(self, method: str, q_curr: Array, target_pose: Array) -> Array:
-        q, target = np.asarray(q_curr), np.asarray(target_pose)
+    def _commands(self, method: str, q_curr: Array, *poses: Array) -> Array:
+        q = np.asarray(q_curr)
         if not self.session:
             self.reset(q[:1] if method == "solve_recorded" and self.batched else q)
-        value = self._ask(method, protocol.encode_array(q), protocol.encode_array(target))
+        value = self._ask(method, protocol.encode_array(q), *(_floats(each) for each in poses))
         commands = protocol.decode_array(value, "answer")
         if commands.shape != q.shape:
             raise ServingError(f"{self.address} answered with shape {commands.shape}, expected {q.shape}.")

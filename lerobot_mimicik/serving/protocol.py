@@ -8,9 +8,11 @@ The id is the client's and comes back unread, also where the body is refused. A 
 with its arguments and value:
 
     info                              {"joint_names", "solvers": {name: batched}, "max_bytes", "max_rows",
-                                       "step_ranges": {name: [lower, upper], six numbers each, or None}}
+                                       "step_ranges": {name: [lower, upper], six numbers each, or None},
+                                       "look_ahead": {name: frames}}
     reset           solver, q         the session: the given one, or a new one where the server has it not
     solve           q, target         commands, shaped as q
+    solve           q, target, next   the same, told of the next targets (T, 7), T at most the solver's look_ahead
     solve_recorded  q, target         commands, (T, dof)
     select          rows              None
     close                             None

@@ -107,16 +107,18 @@ class IKServer:
                 name: None if found is None else [bound.tolist() for bound in found]
                 for name, found in self._sessions.step_ranges.items()
             },
+            "look_ahead": self._sessions.look_ahead,
         }
         # Jobs of each client, with the address that the reply goes to; the client whose turn is next comes first.
         self._waiting: OrderedDict[bytes | str, deque[tuple[bytes, _Job]]] = OrderedDict()
-        self._methods: dict[str, tuple[int, Callable[..., Any]]] = {
-            "info": (0, lambda session: self._info),
-            "reset": (2, self._reset),
-            "solve": (2, self._solve),
-            "solve_recorded": (2, self._solve_recorded),
-            "select": (1, self._select),
-            "close": (0, self._sessions.close),
+        # How many arguments each takes.
+        self._methods: dict[str, tuple[tuple[int, ...], Callable[..., Any]]] = {
+            "info": ((0,), lambda session: self._info),
+            "reset": ((2,), self._reset),
+            "solve": ((2, 3), self._solve),
+            "solve_recorded": ((2,), self._solve_recorded),
+            "select": ((1,), self._select),
+            "close": ((0,), self._sessions.close),
         }
         self._stopping = threading.Event()
         self._keyed = keys is not None
@@ -243,11 +245,12 @@ class IKServer:
         return reply
 
     def _answer(self, method: str, session: bytes, arguments: list[Any]) -> Any:
-        count, answer = self._methods.get(method, (0, None))
+        counts, answer = self._methods.get(method, ((), None))
         if answer is None:
             raise BadRequestError(f"Unknown method {method!r}; known are {', '.join(self._methods)}.")
-        if len(arguments) != count:
-            raise BadRequestError(f"{method} takes {count} arguments, got {len(arguments)}.")
+        if len(arguments) not in counts:
+            expected = " or ".join(map(str, counts))
+            raise BadRequestError(f"{method} takes {expected} arguments, got {len(arguments)}.")
         return answer(session, *arguments)
 
     def _reset(self, token: bytes, solver: Any, q: Any) -> bytes:
@@ -259,13 +262,23 @@ class IKServer:
         self._ask(session, "reset", start)
         return session.token
 
-    def _solve(self, token: bytes, q: Any, target: Any) -> Generator[None, None, list[Any]]:
+    def _solve(
+        self, token: bytes, q: Any, target: Any, upcoming: Any = None
+    ) -> Generator[None, None, list[Any]]:
         session = self._sessions.get(token)
         q_curr, pose = self._question(q, target)
         if q_curr.ndim == 2 and not session.solver.batched:
             raise BadRequestError(
                 f"{session.solver_name} takes single configurations, got {len(q_curr)} rows."
             )
+        if upcoming is not None:
+            following, most = self._poses(upcoming, "upcoming"), session.solver.look_ahead
+            if q_curr.ndim != 1 or following.ndim != 2 or len(following) > most:
+                raise BadRequestError(
+                    f"upcoming: {session.solver_name} looks ahead at up to {most} targets (T, 7) for one "
+                    f"configuration, got shape {following.shape} for {q_curr.shape}."
+                )
+            self._ask(session, "foresee", following)
         return self._commands(session, "solve_in_pieces", q_curr, pose)
 
     def _solve_recorded(self, token: bytes, q: Any, target: Any) -> Generator[None, None, list[Any]]:
@@ -329,14 +342,19 @@ class IKServer:
     def _question(self, q: Any, target: Any) -> tuple[Array, Array]:
         """Joints and poses of a question, of one shape but for the last axis."""
         q_curr = self._numbers(q, "q", self._dof)
-        pose = self._numbers(target, "target", 7)
+        pose = self._poses(target, "target")
         if q_curr.shape[:-1] != pose.shape[:-1]:
             raise BadRequestError(
                 f"q has shape {q_curr.shape}, target has {pose.shape}: expected as many rows."
             )
-        if (np.abs(pose[..., 3:]).max(axis=-1) < _SHORTEST).any():
-            raise BadRequestError(f"target: a quaternion is shorter than {_SHORTEST}, which is no rotation.")
         return q_curr, pose
+
+    def _poses(self, item: Any, name: str) -> Array:
+        """A finite (7,) or (rows, 7) array whose quaternions are rotations."""
+        poses = self._numbers(item, name, 7)
+        if (np.abs(poses[..., 3:]).max(axis=-1) < _SHORTEST).any():
+            raise BadRequestError(f"{name}: a quaternion is shorter than {_SHORTEST}, which is no rotation.")
+        return poses
 
     def _numbers(self, item: Any, name: str, width: int) -> Array:
         """A finite (width,) or (rows, width) array."""

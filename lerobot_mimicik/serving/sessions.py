@@ -31,6 +31,7 @@ class SessionTable:
         self._spare = {name: [factory()] for name, factory in self._factories.items()}
         self.batched = {name: solvers[0].batched for name, solvers in self._spare.items()}
         self.step_ranges = {name: solvers[0].step_range for name, solvers in self._spare.items()}
+        self.look_ahead = {name: solvers[0].look_ahead for name, solvers in self._spare.items()}
         self._sessions: OrderedDict[bytes, Session] = OrderedDict()
 
     def __len__(self) -> int:

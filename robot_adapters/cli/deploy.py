@@ -1,4 +1,4 @@
-"""`mimicik deploy`: the paper's deployment, a checkpoint driving an arm along end-effector targets at 20 Hz."""
+"""`mimicik deploy`: the paper's deployment, an arm driven along targets at 20 Hz, with or without a checkpoint."""
 
 from __future__ import annotations
 
@@ -18,16 +18,14 @@ if TYPE_CHECKING:
     from robot_adapters.adapter import MimicIKAdapter
     from robot_adapters.deployment import DeploymentLog
 
-HELP = (
-    "Drive an arm, real or simulated, along end-effector targets with a checkpoint, at 20 Hz, and measure it."
-)
+HELP = "Drive an arm, real or simulated, along end-effector targets at 20 Hz, with a checkpoint or without, and measure it."
 
 
 @dataclass
 class PolicyPath:
     """The MimicIK checkpoint."""
 
-    # A checkpoint's folder, a training run's output folder, or a Hub repository.
+    # A checkpoint's folder, a training run's output folder, or a Hub repository. Empty: the guided solver alone.
     path: str = ""
 
 
@@ -57,6 +55,9 @@ class DeployConfig:
     real_time: bool = True
     # Joints that a step starts from: commanded (the command in force) or measured.
     reference: str = "commanded"
+    # Frames after the present one that the solver is told of. 0: none, as where an operator or a policy gives one
+    # target at a time; 7: as a policy that answers with chunks lets it know.
+    look_ahead: int = 0
     # Where the network runs.
     device: str = "cpu"
     # Threads that torch uses.
@@ -113,10 +114,11 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     from lerobot_mimicik.checkpoints import check_device, find_checkpoint
     from lerobot_mimicik.inputs import check_dataset
 
-    if not config.policy.path:
-        raise ValueError("--policy.path is missing: the MimicIK checkpoint")
-    find_checkpoint(config.policy.path)
-    check_device(config.device)
+    if config.look_ahead < 0:
+        raise ValueError(f"--look_ahead={config.look_ahead}: expected a number of frames, 0 or more")
+    if config.policy.path:
+        find_checkpoint(config.policy.path)
+        check_device(config.device)
     if config.dataset.root:
         check_dataset(config.dataset.root, "--dataset.root")
     import torch
@@ -128,11 +130,10 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     from lerobot_mimicik.evaluation.report import write_report
     from lerobot_mimicik.evaluation.rollouts import Rollout
     from lerobot_mimicik.kinematics.chain import SerialArm
-    from robot_adapters.adapter import MimicIKAdapter
 
     outputs.claim(config.out, "report")
     torch.set_num_threads(config.threads)
-    adapter = MimicIKAdapter.from_pretrained(config.policy.path, config.device, reference=config.reference)
+    adapter = _adapter(config)
     arm = SerialArm(adapter.description, dtype=torch.float64)
     recording = _motion(config, adapter, arm)
     before = _processor_time()
@@ -147,11 +148,30 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     traces = tuple(measure(arm, rollouts))
     solve = [ms for log in logs for ms in log.solve_ms]
     latency = Latency(_percentile(solve, 50), _percentile(solve, 99), len(solve))
-    evaluation = make_evaluation(arm, "mimicik", "plant", recording, traces, latency)
+    evaluation = make_evaluation(arm, extra["ik"]["solver"], "plant", recording, traces, latency)
     write_report(config.out, [evaluation.row], [recording], asdict(config))
     summary = _summary(logs) | extra | {"tool_error_mm": _tool_error(adapter, recording, logs)}
     (Path(config.out) / "deployment.json").write_text(json.dumps(summary, indent=2) + "\n")
     return summary, evaluation.row
+
+
+def _adapter(config: DeployConfig) -> MimicIKAdapter:
+    """With the checkpoint, or for the arm of the motion."""
+    from lerobot_mimicik.kinematics.arms import arm_of_dataset, describe_arm
+    from robot_adapters.adapter import MimicIKAdapter
+
+    settings = {"reference": config.reference, "horizon": config.look_ahead + 1}
+    if config.policy.path:
+        return MimicIKAdapter.from_pretrained(config.policy.path, config.device, **settings)
+    own = arm_of_dataset(config.dataset.root) if config.dataset.root else None
+    return MimicIKAdapter.for_arm(own or describe_arm("airbot_play"), **settings)
+
+
+def _solver_name(config: DeployConfig) -> str:
+    """What tables of `eval` and `bench` call that which drives the arm."""
+    if config.policy.path:
+        return "mimicik_guided"
+    return "guided_ahead" if config.look_ahead else "guided"
 
 
 def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> Recording:
@@ -161,13 +181,18 @@ def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> Recordin
     from lerobot_mimicik.cli.options import numbers
     from lerobot_mimicik.evaluation.evaluate import study
     from lerobot_mimicik.evaluation.trajectories import Layout, load_trajectories
+    from lerobot_mimicik.solvers.mimicik import MimicIKSolver
+    from robot_adapters.plant_mode import refuse_another_arm
 
-    policy = adapter.solver.policy  # type: ignore[attr-defined, union-attr]
+    layout = Layout()
+    if isinstance(adapter.solver, MimicIKSolver) and config.dataset.root:
+        layout = Layout.of_policy(adapter.solver.policy.config)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(config.dataset.root or _generated(Path(folder), config))
-        layout = Layout.of_policy(policy.config) if config.dataset.root else Layout()
         episodes = numbers(config.dataset.episodes, "--dataset.episodes") or None
         found = load_trajectories(root, arm, layout, episodes, root.name)
+    for trajectory in found.trajectories:
+        refuse_another_arm(trajectory)
     if config.dataset.seconds:
         last = max(int(config.dataset.seconds * found.fps), 1)
         cut = tuple(t.first(last) for t in found.trajectories)
@@ -203,8 +228,8 @@ def _drive(
     sources: Counter[str] = Counter()
     worst: dict[str, float] = {"position_error_mm": 0.0, "step_rad": 0.0}
 
-    def control(q: Any, target: Any) -> Any:
-        result = adapter.solve(q, target)
+    def control(q: Any, target: Any, upcoming: Any) -> Any:
+        result = adapter.solve(q, target, upcoming[: config.look_ahead])
         statuses[result.status] += 1
         sources[result.source] += 1
         worst["position_error_mm"] = max(worst["position_error_mm"], result.position_error * 1e3)
@@ -270,6 +295,8 @@ def _drive(
                 break
     extra = {
         "ik": {
+            "solver": _solver_name(config),
+            "look_ahead": config.look_ahead,
             "statuses": dict(statuses),
             "sources": dict(sources),
             **{name: round(value, 4) for name, value in worst.items()},
@@ -294,12 +321,12 @@ def _told(control: Any, adapter: MimicIKAdapter, arm: Any) -> Any:
     """The controller, told before each frame what the driver made of the command before."""
     first = True
 
-    def controller(q: Any, target: Any) -> Any:
+    def controller(q: Any, target: Any, upcoming: Any) -> Any:
         nonlocal first
         if not first:
             adapter.commanded(arm.target())
         first = False
-        return control(q, target)
+        return control(q, target, upcoming)
 
     return controller
 

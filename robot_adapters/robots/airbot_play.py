@@ -6,6 +6,7 @@ import logging
 import math
 import signal
 import time
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -215,6 +216,7 @@ class AirbotPlayEE(AirbotPlay):
         tool = config.tool or tuple(IDENTITY)
         self.frames = PolicyFrames(form=PoseFormat(config.rotation), tool=tool)
         self.ik_result: IKResult | None = None
+        self._upcoming: list[NDArray[np.float64]] = []
         self._adapter: MimicIKAdapter | None = None
 
     @property
@@ -253,6 +255,16 @@ class AirbotPlayEE(AirbotPlay):
         state = self.arm.read()
         return {**self._poses(state.q, state.gripper), **self._images()}
 
+    def foresee(self, actions: Sequence[RobotAction]) -> None:
+        """Say which poses follow the one that `send_action` is called with next, one a frame; it holds for that call.
+
+        LeRobot's commands hand a robot one action at a time and say nothing of the next; a loop of one's own may know.
+
+        Raises:
+            KeyError: a number is missing.
+        """
+        self._upcoming = [self._pose_numbers(action) for action in actions]
+
     @check_if_not_connected
     def send_action(self, action: RobotAction) -> RobotAction:
         """Move towards a pose; returns the pose of the joint target in force.
@@ -262,20 +274,28 @@ class AirbotPlayEE(AirbotPlay):
             ArmStoppedError: the arm has stopped.
         """
         self._let_time_pass()
-        numbers = np.array([self._number(action, key) for key in self.pose_keys])
+        numbers, following = self._pose_numbers(action), self._upcoming
+        self._upcoming = []
         opening = self._number(action, f"ee.{GRIPPER}") if self.config.gripper else None
         measured = self.arm.read().q
-        try:
-            target = self.frames.from_policy(numbers, self.adapter.forward(measured))
-        except ValueError as error:
-            self.warn("pose", str(error))
-            target = np.full(7, np.nan)
-        self.ik_result = result = self.adapter.solve(measured, target)
+        pose = self.adapter.forward(measured)
+        target, *upcoming = (self._target(each, pose) for each in [numbers, *following])
+        self.ik_result = result = self.adapter.solve(measured, target, upcoming)
         if result.status in (IKStatus.UNREACHABLE, IKStatus.FAILED):
             self.warn(result.status, f"{result.status}: {result.message}")
         sent = self.command(result.q, opening)
         self.adapter.commanded(sent.q_sent)
         return self._poses(sent.q_sent, opening)
+
+    def _pose_numbers(self, action: RobotAction) -> NDArray[np.float64]:
+        return np.array([self._number(action, key) for key in self.pose_keys])
+
+    def _target(self, numbers: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        try:
+            return self.frames.from_policy(numbers, pose)
+        except ValueError as error:
+            self.warn("pose", str(error))
+            return np.full(7, np.nan)
 
     def _poses(self, q: NDArray[np.float64], opening: float | None) -> dict[str, float]:
         numbers = self.frames.to_policy(self.adapter.forward(q))
