@@ -63,6 +63,7 @@ def test_recordings_become_a_dataset(tmp_path, source, capsys):
 )
 def test_mistakes_are_named_without_a_traceback(arguments, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "y").mkdir()
     assert make_dataset.main(arguments) == 2
     assert message in capsys.readouterr().err
 

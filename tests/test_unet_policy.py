@@ -112,7 +112,7 @@ def test_checkpoint_needs_no_dataset_and_is_loaded_by_its_type(root, tmp_path):
     ("options", "message"),
     [
         ({"inference_steps": 200}, "inference_steps=200: expected at most train_timesteps=100"),
-        ({"channels": [20]}, r"channels=\[20\]: expected multiples of n_groups=8"),
+        ({"channels": [20]}, r"channels=\[20\]: expected 1 to 16 multiples of n_groups=8"),
         ({"channels": []}, r"channels=\[\]"),
         ({"kernel_size": 4}, "kernel_size=4: expected an odd number"),
         ({"condition_dim": 3}, "condition_dim=3"),
