@@ -1,6 +1,7 @@
 """What is known of the future reaches the solver: chunks of policies and of processor steps, robots, drives."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import torch
 from lerobot.lerobot_types import TransitionKey
 
 from lerobot_mimicik.cli.main import main
+from lerobot_mimicik.data.teleoperation.session import SyntheticConfig
+from lerobot_mimicik.data.teleoperation.synthetic import make_synthetic
 from lerobot_mimicik.kinematics.arms import describe_arm
 from robot_adapters.adapter import IKStatus, MimicIKAdapter
 from robot_adapters.processor_steps import EEActionToJoints, JointsToEEState
@@ -204,10 +207,18 @@ def test_a_robot_can_be_told_which_poses_follow(targets, tmp_path):
         robot.disconnect()
 
 
+@pytest.fixture(scope="module")
+def near_singular(tmp_path_factory) -> Path:
+    """A dataset of one near-singular trajectory of 20 s."""
+    folder, short = tmp_path_factory.mktemp("motion"), SyntheticConfig(ood_episodes=1, ood_s=20.0)
+    make_synthetic(folder, 1, ARM, workers=1, test_share=0.0, config=short, progress=False)
+    return folder / "ood"
+
+
 @pytest.mark.parametrize("ahead", [0, 7])
-def test_deploy_needs_no_checkpoint_and_tracks_through_singularities(tmp_path, ahead):
+def test_deploy_needs_no_checkpoint_and_tracks_through_singularities(near_singular, tmp_path, ahead):
     options = ["--real_time=false", f"--look_ahead={ahead}", f"--out={tmp_path}"]
-    assert main(["deploy", *options]) == 0
+    assert main(["deploy", f"--dataset.root={near_singular}", *options]) == 0
     (row,) = json.loads((tmp_path / "report.json").read_text())["rows"]
     assert row["solver"] == ("guided_ahead" if ahead else "guided")
     assert (row["verdict"], row["frames"], row["estop"]) == ("Bounded", 400, 0)
