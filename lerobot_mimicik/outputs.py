@@ -8,7 +8,10 @@ A file is ours if the nearest marked folder above it is of a kind that has such 
 somebody's, and no command touches it: it stops and names the file. There is no other way to delete a folder here.
 
 A folder that was made before there were marks, or that lost its mark, is not replaced either; the message says how
-its owner can mark it.
+its owner can mark it. A single file that a command writes where the user says is replaced only where its beginning
+shows that this project wrote it (`check_file`).
+
+Two runs never write to one place at a time: a run holds its output (`alone`) for as long as its process lives.
 """
 
 from __future__ import annotations
@@ -16,12 +19,18 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+try:
+    import fcntl
+except ModuleNotFoundError:  # on Windows, where nothing is held
+    fcntl = None  # type: ignore[assignment]
+
 MARK_FILE = ".mimicik.json"
 _VERSION = 1
+_HEAD = 4096  # bytes at the beginning of a file in which its mark is looked for
 # Files of each kind of folder, below it; `**` at the end: everything there. A folder below that has a mark of its
 # own is judged by that one.
 _FILES: dict[str, tuple[str, ...]] = {
@@ -125,6 +134,85 @@ def claim(folder: str | Path, kind: str) -> None:
         mark(folder, kind)
 
 
+def check_file(path: str | Path, option: str, mark: bytes = b"") -> None:
+    """See that a single file can be written: it is not there, or this project wrote it.
+
+    Args:
+        path: the file; the folders above it are made.
+        option: what names it on the command line, for the message.
+        mark: bytes that stand near the beginning of what is written there; empty: no file is replaced.
+
+    Raises:
+        FileExistsError: there is something else.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.exists() and not path.is_symlink():
+        return
+    if mark and path.is_file():
+        with path.open("rb") as file:
+            if mark in file.read(_HEAD):
+                return
+    why = "this command did not write it" if mark else "it may be needed"
+    raise FileExistsError(
+        f"{option}: {path} exists already and is not replaced, for {why}; name another, or remove it"
+    )
+
+
+@contextmanager
+def alone(output: str | Path) -> Iterator[None]:
+    """Hold an output, so that no other run writes to it at the same time.
+
+    The lock ends with the process, however that ends; the empty file OUTPUT.lock that a killed one leaves locks
+    nobody out. Where the folder above may not be written to, nothing is held.
+
+    Raises:
+        FileExistsError: another run holds it.
+    """
+    path = Path(output).resolve()
+    lock = path.with_name(path.name + ".lock")
+    made = [parent for parent in lock.parents if not parent.exists()]
+    try:
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        file = _locked(lock, output)
+    except PermissionError:
+        file = None
+    try:
+        yield
+    finally:
+        if file is not None:
+            # Only what is ours: somebody's own OUTPUT.lock has content.
+            if not os.fstat(file).st_size:
+                lock.unlink(missing_ok=True)
+            os.close(file)
+        for parent in made:  # the innermost first; it stays where anything was written to it
+            with suppress(OSError):
+                parent.rmdir()
+
+
+def _locked(lock: Path, output: str | Path) -> int | None:
+    """The open and locked lock file."""
+    if fcntl is None:
+        return None
+    while True:
+        file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Who held it may have removed it between these two lines: then it locks nobody out.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.stat(lock), os.fstat(file)):
+                    return file
+        except BlockingIOError:
+            os.close(file)
+            raise FileExistsError(
+                f"another run is writing to {output} ({lock} is held by it): wait for it, or choose another output"
+            ) from None
+        except OSError:  # a file system without locks
+            os.close(file)
+            return None
+        os.close(file)
+
+
 def mark(folder: Path, kind: str) -> None:
     """Make `folder`, unless it exists, and say that it is one of this project's: do this before anything else."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -180,21 +268,22 @@ def building(folder: str | Path, kind: str) -> Iterator[Path]:
     """
     folder = Path(folder).resolve()
     beside = folder.with_name(folder.name + ".writing")
-    check_new(beside, "writing", overwrite=True)
-    remove(beside)
-    mark(beside, "writing")
-    new, old = beside / "new", beside / "old"
-    mark(new, kind)
-    try:
-        yield new
-        if kind_of(folder) == kind:
-            _check_ours(folder)
-            os.replace(folder, old)
-        elif folder.exists():
-            folder.rmdir()  # it was empty when this began
-        os.replace(new, folder)
-    finally:
+    with alone(beside):
+        check_new(beside, "writing", overwrite=True)
         remove(beside)
+        mark(beside, "writing")
+        new, old = beside / "new", beside / "old"
+        mark(new, kind)
+        try:
+            yield new
+            if kind_of(folder) == kind:
+                _check_ours(folder)
+                os.replace(folder, old)
+            elif folder.exists():
+                folder.rmdir()  # it was empty when this began
+            os.replace(new, folder)
+        finally:
+            remove(beside)
 
 
 def _check_ours(folder: Path) -> None:

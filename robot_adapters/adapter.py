@@ -151,7 +151,7 @@ class MimicIKAdapter:
             ValueError, UrdfError, FileNotFoundError: as `describe_arm`; settings out of range.
         """
         description = arm if isinstance(arm, ArmDescription) else describe_arm(str(arm))
-        adapter = cls(None, description, AdapterSettings(**settings))
+        adapter = cls(None, description, AdapterSettings.of(settings))
         adapter.warm_up()
         return adapter
 
@@ -174,7 +174,7 @@ class MimicIKAdapter:
         policy = load_policy(str(path), device)
         description = policy.config.arm_description()
         solver = MimicIKSolver(SerialArm(description), policy)
-        adapter = cls(solver, description, AdapterSettings(**settings))
+        adapter = cls(solver, description, AdapterSettings.of(settings))
         adapter.warm_up()
         return adapter
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.kinematics.poses import pose_distance
 from robot_adapters.adapter import MimicIKAdapter
 
@@ -14,6 +15,16 @@ if TYPE_CHECKING:
     from robot_adapters.airbot.arm import ArmState, CommandResult
 
 _TRAIL = 200  # frames of the path that stay in sight
+_NAME = "mimicik_deploy"  # of the recording in rerun, which stands at the beginning of its file too
+
+
+def check_recording(path: str) -> None:
+    """See that a recording may be written to `path`.
+
+    Raises:
+        FileExistsError: a file is there that is no recording of a deployment.
+    """
+    outputs.check_file(path, "--display_file", _NAME.encode())
 
 
 class RerunDisplay:
@@ -24,6 +35,7 @@ class RerunDisplay:
 
         Raises:
             ModuleNotFoundError: without rerun; the message says how to install it.
+            FileExistsError: `save` is a file that is no recording of a deployment.
         """
         try:
             import rerun
@@ -35,8 +47,9 @@ class RerunDisplay:
         self._adapter, self._fps = adapter, fps
         self._paths: dict[str, list[NDArray[np.float64]]] = {"target": [], "tool": []}
         self._before: NDArray[np.float64] | None = None
-        rerun.init("mimicik_deploy", spawn=save is None)
+        rerun.init(_NAME, spawn=save is None)
         if save is not None:
+            check_recording(save)
             rerun.save(save)
         rerun.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 

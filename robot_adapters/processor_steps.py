@@ -276,7 +276,7 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
 
         description = self._policy.config.arm_description()
         solver = MimicIKSolver(SerialArm(description), self._policy)
-        return MimicIKAdapter(solver, description, AdapterSettings(**self.settings))
+        return MimicIKAdapter(solver, description, AdapterSettings.of(self.settings))
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
         """Replaces the action, shape (d,), (B, d) or (B, T, d) with B = 1.

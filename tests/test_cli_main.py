@@ -52,7 +52,31 @@ def test_an_error_of_the_user_is_one_line_without_a_traceback(capsys, monkeypatc
         cli.main(["eval", "--dataset.root=/nowhere/at/all", "--solvers=hold"])
 
 
-@pytest.mark.parametrize("command", ["eval", "demo", "bench"])
+@pytest.mark.parametrize(
+    ("argv", "meant"),
+    [
+        (["evall"], "eval"),
+        (["eval", "--outputt=x"], "--output"),
+        (["make-dataset", "--robot.hom=1"], "--robot.home"),
+        (["make-dataset", "--columns.quaternion-order=wxyz"], "--columns.quaternion_order"),
+        (["make-dataset", "--source=joint", "--output=x"], "joints"),
+        (["make-dataset", "--source=stress", "--output=x", "--stress.kinds=tremor-1"], "tremor-1mm"),
+        (["make-dataset", "--source=synthetic", "--output=x", "--robot=airbotplay"], "airbot_play"),
+        (["serve", "--solvers=guidet"], "guided"),
+        (["play", "--solver=guided"], "--solvers"),
+        (["wrap", "--ik.adress=x"], "--ik.address"),
+        (["deploy", "--look_ahed=3"], "--look_ahead"),
+    ],
+)
+def test_a_mistyped_name_gets_the_one_that_was_meant(argv, meant, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(argv) in (1, 2)
+    shown = capsys.readouterr().err
+    assert f"Did you mean {meant}?" in shown
+    assert "Traceback" not in shown
+
+
+@pytest.mark.parametrize("command", sorted(cli.subcommands()))
 def test_each_subcommand_explains_its_options(command, capsys):
     with pytest.raises(SystemExit) as stopped:
         cli.main([command, "--help"])

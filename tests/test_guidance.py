@@ -1,5 +1,7 @@
 """Guidance: bounds hold whatever is asked, what can be met is met, and the certificate says what is true."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -316,3 +318,20 @@ def test_one_set_of_defaults_serves_other_arms(name, ahead):
 
 _SEVENTH = """<link name="l7"/><joint name="j6" type="revolute"><parent link="l6"/><child link="l7"/>
 <origin xyz="0.1 0 0"/><axis xyz="1 0 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        ({"max_stepp": 0.1}, "there is no setting 'max_stepp'. Did you mean max_step?"),
+        ({"max_step": "0.1"}, "max_step='0.1': expected a number"),
+        ({"max_step": None}, "max_step=None: expected a number"),
+        ({"horizon": 2.5}, "horizon=2.5: expected a whole number"),
+        ({"horizon": 10**12}, "horizon=1000000000000: expected at most 1000"),
+        ({"velocity": float("nan")}, "velocity must be finite"),
+        ({"task": {"wait": [1] * 6}}, "there is no setting 'wait'. Did you mean weight?"),
+    ],
+)
+def test_settings_that_do_not_exist_or_do_not_fit_are_named(settings, reason):
+    with pytest.raises(ValueError, match=re.escape(reason)):
+        GuidanceSettings.of(settings)

@@ -156,7 +156,7 @@ def test_a_jump_within_a_frame_cuts_the_recording(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda log, q: np.degrees(log[q]), r"these are degrees.*--columns\.joint_units"),
+        (lambda log, q: np.degrees(log[q]), r"as degrees the numbers would fit.*--columns\.joint_units"),
         (lambda log, q: log[q] + [0, 0, 5, 0, 0, 0], r"joint3 is .* far outside its limits.*--robot"),
     ],
 )

@@ -10,10 +10,12 @@ import pytest
 from hand_recordings import hand_table
 
 from lerobot_mimicik import outputs
+from lerobot_mimicik.cli import main as cli
 from lerobot_mimicik.cli import make_dataset
 from lerobot_mimicik.data.writer import Episode, write_dataset
 from lerobot_mimicik.evaluation import training_process
 from lerobot_mimicik.evaluation.report import write_report
+from lerobot_mimicik.evaluation.result_pages import DOCUMENT_MARK
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.array_chain import array_chain
 
@@ -159,6 +161,81 @@ def test_reports_of_others_are_kept_and_our_own_are_written_anew(tmp_path):
     for _ in range(2):
         write_report(tmp_path / "ours", [], [], {})
     assert list(outputs.strangers(tmp_path / "ours")) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "written"),
+    [
+        ("deploy", ["--display_file={}"], b"RRF2....mimicik_deploy"),
+        ("play", ["--screenshot={}"], b"\x89PNG....mimicik play"),
+        ("bench", ["--markdown={}", "--datasets={set}", "--solvers=hold"], DOCUMENT_MARK.encode()),
+    ],
+)
+def test_a_file_that_an_option_names_is_replaced_only_where_this_project_wrote_it(
+    tmp_path, capsys, command, options, written
+):
+    write(tmp_path / "set")
+    file = tmp_path / "thesis.pdf"
+    file.write_bytes(b"\xff mine")
+    line = [option.format(file, set=tmp_path / "set") for option in options]
+    assert cli.main([command, *line]) == 1
+    assert f"{file} exists already and is not replaced" in capsys.readouterr().err
+    assert file.read_bytes() == b"\xff mine"
+    file.write_bytes(written)
+    outputs.check_file(file, "--x", written[-12:])
+    outputs.check_file(tmp_path / "new" / "file", "--x")
+    with pytest.raises(FileExistsError):
+        outputs.check_file(file, "--x")
+
+
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [
+        (["make-dataset", "--source=synthetic", "--episodes=2"], "output"),
+        (["make-dataset", "--source=stress"], "output"),
+        (["demo"], "output"),
+        (["bench", "--datasets=set"], "output"),
+        (["eval", "--dataset.root=set"], "output"),
+        (["deploy", "--dataset.root=set"], "out"),
+    ],
+)
+def test_a_second_run_into_one_output_is_refused(tmp_path, capsys, command, output):
+    with outputs.alone(tmp_path / "out"):
+        assert cli.main([*command, f"--{output}={tmp_path / 'out'}"]) in (1, 2)
+    assert f"another run is writing to {tmp_path / 'out'}" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_was_killed_locks_nobody_out(tmp_path):
+    code = "import sys, time; from lerobot_mimicik import outputs\n"
+    code += "with outputs.alone(sys.argv[1]): print('held', flush=True); time.sleep(3600)"
+    out = str(tmp_path / "made" / "out")
+    with subprocess.Popen([sys.executable, "-c", code, out], stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(FileExistsError, match="another run is writing"), outputs.alone(out):
+            pass
+        other.kill()
+        other.wait()
+    with outputs.alone(out):
+        pass
+    assert list((tmp_path / "made").iterdir()) == []
+
+
+def test_somebodys_own_lock_file_is_kept(tmp_path):
+    (tmp_path / "out.lock").write_text("mine")
+    with outputs.alone(tmp_path / "out"):
+        pass
+    assert contents(tmp_path) == {"out.lock": b"mine"}
+
+
+def test_no_stress_set_is_made_where_the_last_one_may_not_be_written(tmp_path, capsys):
+    (tmp_path / "out" / "tremor-1mm").mkdir(parents=True)
+    (tmp_path / "out" / "tremor-1mm" / "notes.txt").write_text("mine")
+    options = ["--source=stress", "--episodes=1", "--stress.seconds=1", "--stress.kinds=workspace,tremor-1mm"]
+    assert make_dataset.main([*options, f"--output={tmp_path / 'out'}"]) == 2
+    assert "tremor-1mm exists already" in capsys.readouterr().err
+    assert contents(tmp_path) == {"out/tremor-1mm/notes.txt": b"mine"}
 
 
 WORK = """

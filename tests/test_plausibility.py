@@ -44,7 +44,9 @@ def test_joints_a_little_outside_and_targets_out_of_reach_pass():
 @pytest.mark.parametrize("arm", ARMS)
 def test_degrees_are_refused_by_name(arm):
     q = random_joints(arm)
-    with pytest.raises(ValueError, match=r"joint\d is .* rad in frame \d+.*these are degrees.*units=deg"):
+    with pytest.raises(
+        ValueError, match=r"joint\d is .* rad in frame \d+.*as degrees the numbers would fit.*units=deg"
+    ):
         check_plausible(arm, np.degrees(q), joints_remedy="--policy.joint_units=deg")
     assert "degrees" in why_not_joints(arm, np.degrees(q[0]))
 
@@ -52,7 +54,7 @@ def test_degrees_are_refused_by_name(arm):
 def test_joints_of_no_unit_are_refused_without_a_guess():
     reason = why_not_joints(ARMS[0], [0, 0, 0, 0, 0, 4096.0])
     assert "joint6 is 4096 rad" in reason
-    assert "these are degrees" not in reason
+    assert "as degrees the numbers would fit" not in reason
 
 
 def test_millimetres_are_refused():

@@ -116,7 +116,9 @@ def test_only_a_document_of_the_bench_is_written_again(tmp_path):
     file.write_text(results_markdown(ROWS, {}, [], "mimicik bench"))
     check_document(file)
     file.write_text("# My own notes")
-    with pytest.raises(FileExistsError, match="is not a document of mimicik bench"):
+    with pytest.raises(
+        FileExistsError, match=r"--markdown: .*results\.md exists already and is not replaced"
+    ):
         check_document(file)
 
 

@@ -7,7 +7,6 @@ import logging
 import threading
 import time
 from functools import partial
-from pathlib import Path
 
 import cv2
 import draccus
@@ -314,9 +313,14 @@ def test_recorded_motion_plays_an_episode(mimicik_run, tmp_path):
     assert player.get_action() != first
     player.disconnect()
     for options, message in (
-        ({"dataset_root": str(Path(root).parent)}, "no LeRobot dataset"),
         ({"column": "observation.force"}, r"observation\.force"),
         ({"episode": 999}, "episode 999"),
     ):
         with pytest.raises(ValueError, match=message):
             _ = teleoperator(**options).action_features
+
+
+@pytest.mark.parametrize("root", ["", "nowhere"])
+def test_recorded_motion_of_no_dataset_is_refused_before_a_robot_is_connected(root, tmp_path):
+    with pytest.raises(ValueError, match=rf"dataset_root='{root}' is no LeRobot dataset"):
+        make_teleoperator_from_config(RecordedMotionConfig(dataset_root=root, calibration_dir=tmp_path))

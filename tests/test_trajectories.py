@@ -150,7 +150,9 @@ def test_degrees_read_as_radians_are_refused_with_the_option(tmp_path):
         values[:] = np.degrees(values)
 
     change_column(tmp_path / "data", "observation.state", to_degrees)
-    with pytest.raises(ValueError, match=r"these are degrees.*--joint_units=deg.*--policy\.joint_units=deg"):
+    with pytest.raises(
+        ValueError, match=r"as degrees the numbers would fit.*--joint_units=deg.*--policy\.joint_units=deg"
+    ):
         load_trajectories(tmp_path / "data", airbot())
 
 

@@ -8,9 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import draccus
-
-from lerobot_mimicik.cli.options import numbers, renamed, words
+from lerobot_mimicik import outputs
+from lerobot_mimicik.cli.options import numbers, parse, renamed, words
 
 if TYPE_CHECKING:
     from lerobot_mimicik.evaluation.bench_run import BenchResult
@@ -72,8 +71,9 @@ class BenchConfig:
 def main(argv: Sequence[str]) -> int:
     """Run the command; 1 if a training failed."""
     arguments = renamed(argv, {"--out": "--output", "--urdf": "--arm"})
-    config = draccus.parse(BenchConfig, args=arguments, prog="mimicik bench")
-    result = run(config, command=shlex.join(["mimicik", "bench", *arguments]))
+    config = parse(BenchConfig, arguments, "mimicik bench")
+    with outputs.alone(config.output):
+        result = run(config, command=shlex.join(["mimicik", "bench", *arguments]))
     print(result.table)
     print(f"Report: {result.page}; all columns: {config.output}/table.md")
     return int(result.failed)

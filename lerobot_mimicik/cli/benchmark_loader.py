@@ -7,7 +7,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import draccus
+from lerobot_mimicik.cli.options import parse
 
 HELP = "Measure how many training samples a second are read, with and without whole-batch reading."
 
@@ -75,7 +75,7 @@ def samples_per_second(config: BenchmarkLoaderConfig, batched: bool) -> float:
 
 def main(argv: list[str]) -> None:
     """Parses the command line, measures and prints."""
-    config = draccus.parse(BenchmarkLoaderConfig, args=argv)
+    config = parse(BenchmarkLoaderConfig, argv, "mimicik benchmark-loader")
     if not (config.dataset_root / "meta" / "info.json").is_file():
         raise SystemExit(f"{config.dataset_root} is no LeRobot dataset: it has no meta/info.json")
     config.dataset_root = config.dataset_root.resolve()

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-import draccus
+from lerobot_mimicik.cli.options import parse
 
 HELP = "Measure the latency that the IK server adds and the queries a second that it answers."
 
@@ -36,7 +36,7 @@ class BenchmarkServerConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Parse the command line, measure and print."""
-    config = draccus.parse(BenchmarkServerConfig, args=argv, prog="mimicik benchmark-server")
+    config = parse(BenchmarkServerConfig, argv, "mimicik benchmark-server")
     import torch
 
     from lerobot_mimicik.kinematics.arms import describe_arm

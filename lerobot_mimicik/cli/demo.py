@@ -19,10 +19,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import draccus
-
 from lerobot_mimicik import outputs
-from lerobot_mimicik.cli.options import bare_switches, decimals
+from lerobot_mimicik.cli.options import bare_switches, decimals, parse
 from lerobot_mimicik.evaluation import training_process
 
 HELP = "Go the whole way: make a dataset, train a policy on it, measure it, write a report with figures."
@@ -82,9 +80,10 @@ class DemoData:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    config = draccus.parse(DemoConfig, args=bare_switches(argv, DemoConfig), prog="mimicik demo")
+    config = parse(DemoConfig, bare_switches(argv, DemoConfig), "mimicik demo")
     begin = time.monotonic()
-    page = run(config)
+    with outputs.alone(config.output):
+        page = run(config)
     minutes, seconds = divmod(round(time.monotonic() - begin), 60)
     print(f"\nDone in {minutes} min {seconds} s. Report: {page}")
     return 0

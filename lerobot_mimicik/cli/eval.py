@@ -8,10 +8,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import draccus
-
 from lerobot_mimicik import outputs
-from lerobot_mimicik.cli.options import join_repeated, numbers, renamed, words
+from lerobot_mimicik.cli.options import join_repeated, numbers, parse, renamed, words
+from lerobot_mimicik.kinematics.names import did_you_mean
 
 if TYPE_CHECKING:
     from lerobot_mimicik.evaluation.evaluate import Evaluation
@@ -70,9 +69,10 @@ class EvalConfig:
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
     arguments = renamed(argv, {"--out": "--output", "--mode": "--modes"})
-    config = draccus.parse(EvalConfig, args=join_repeated(arguments, "--dataset.root"), prog="mimicik eval")
+    config = parse(EvalConfig, join_repeated(arguments, "--dataset.root"), "mimicik eval")
     rows: list[dict[str, Any]] = []
-    run(config, rows=rows, command=shlex.join(["mimicik", "eval", *arguments]))
+    with outputs.alone(config.output):
+        run(config, rows=rows, command=shlex.join(["mimicik", "eval", *arguments]))
     from lerobot_mimicik.evaluation.short_table import measured, screen_table
 
     print(screen_table(*measured(rows)))
@@ -202,6 +202,7 @@ def _known(asked: list[str], known: Sequence[str], option: str) -> list[Any]:
     if unknown or not asked:
         raise ValueError(
             f"{option}: unknown {', '.join(unknown) or '(nothing)'}; known are {', '.join(known)}."
+            + did_you_mean("".join(unknown[:1]), known)
         )
     return list(dict.fromkeys(asked))
 

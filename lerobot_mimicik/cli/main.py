@@ -17,6 +17,8 @@ from collections.abc import Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 
+from lerobot_mimicik.kinematics.names import did_you_mean
+
 _GROUP = "mimicik.commands"
 _TRACEBACK = "MIMICIK_TRACEBACK"
 # Libraries that read options and files, and whose own errors are about those.
@@ -55,7 +57,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     command, *rest = arguments
     if command not in known:
-        print(f"mimicik: unknown command {command!r}; known are {', '.join(known)}.", file=sys.stderr)
+        print(
+            f"mimicik: unknown command {command!r}; known are {', '.join(known)}.{did_you_mean(command, known)}",
+            file=sys.stderr,
+        )
         return 2
     module = importlib.import_module(_found()[command][0])
     try:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import draccus
-
-from lerobot_mimicik.cli.options import bare_switches, decimals, words
+from lerobot_mimicik import outputs
+from lerobot_mimicik.cli.options import bare_switches, decimals, parse, words
 from lerobot_mimicik.data.retargeting.cleaning import CleaningOptions
 from lerobot_mimicik.data.retargeting.placement import PlacementOptions
 from lerobot_mimicik.data.retargeting.recordings import SourceColumns
 from lerobot_mimicik.data.retargeting.retarget import RetargetOptions
 from lerobot_mimicik.data.writer import SPACES
 from lerobot_mimicik.inputs import check_exists
+from lerobot_mimicik.kinematics.names import did_you_mean
 
 if TYPE_CHECKING:
     from lerobot_mimicik.data.joint_logs import LogSummary
@@ -183,9 +184,10 @@ class MakeDatasetConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command; returns the exit status."""
-    config = draccus.parse(MakeDatasetConfig, args=_expanded(argv), prog="mimicik make-dataset")
+    config = parse(MakeDatasetConfig, _expanded(argv), "mimicik make-dataset")
     try:
-        print(run(config))
+        with outputs.alone(config.output) if config.output else nullcontext():
+            print(run(config))
     except (ValueError, OSError) as error:
         print(f"mimicik make-dataset: {error}", file=sys.stderr)
         return 2
@@ -208,9 +210,15 @@ def run(
     from lerobot_mimicik.kinematics.arms import describe_arm
 
     if config.source not in SOURCES:
-        raise ValueError(f"--source must be one of {', '.join(SOURCES)}, got {config.source!r}")
+        raise ValueError(
+            f"--source must be one of {', '.join(SOURCES)}, got {config.source!r}."
+            + did_you_mean(config.source, SOURCES)
+        )
     if config.space not in SPACES:
-        raise ValueError(f"--space must be one of {', '.join(SPACES)}, got {config.space!r}")
+        raise ValueError(
+            f"--space must be one of {', '.join(SPACES)}, got {config.space!r}."
+            + did_you_mean(config.space, SPACES)
+        )
     if not config.output:
         raise ValueError("--output is missing: the folder of the dataset to write")
     robot = config.robot

@@ -1,10 +1,48 @@
-"""Small helpers for the command lines of the subcommands."""
+"""The command lines of the subcommands: reading them, and small helpers for their values."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
+from typing import get_type_hints
+
+import draccus
+
+from lerobot_mimicik.kinematics.names import did_you_mean
+
+
+def parse[Config](config_class: type[Config], argv: Sequence[str], prog: str) -> Config:
+    """The options on a command line.
+
+    Args:
+        config_class: a dataclass whose fields are the options; those of a dataclass in it are `--outer.inner`.
+        argv: the words after the command.
+        prog: the command, for help and messages.
+
+    Raises:
+        ValueError: an option does not exist.
+        SystemExit: with 0 after the help.
+        draccus.utils.DraccusException: a value is not of its option's type.
+    """
+    known = [*_options(config_class), "--help", "-h", "--config_path"]
+    for argument in argv:
+        option = argument.partition("=")[0]
+        if option.startswith("--") and option not in known:
+            raise ValueError(
+                f"there is no option {option}.{did_you_mean(option, known)} {prog} --help lists all."
+            )
+    return draccus.parse(config_class, args=list(argv), prog=prog)
+
+
+def _options(config_class: type, above: str = "--") -> list[str]:
+    """The options that a dataclass stands for, those of dataclasses in it too."""
+    found = []
+    for name, kind in get_type_hints(config_class).items():
+        found.append(above + name)
+        if is_dataclass(kind):
+            found += _options(kind, f"{above}{name}.")  # type: ignore[arg-type]
+    return found
 
 
 def bare_switches(argv: Sequence[str], config_class: type) -> list[str]:

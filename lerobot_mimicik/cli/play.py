@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import draccus
-
-from lerobot_mimicik.cli.options import numbers, underscored, words
+from lerobot_mimicik.cli.options import numbers, parse, underscored, words
+from lerobot_mimicik.kinematics.names import did_you_mean
 
 if TYPE_CHECKING:
     from lerobot_mimicik.kinematics.arms import ArmDescription
@@ -22,6 +21,7 @@ HELP = (
 
 # Those that cannot follow a hand: one knows the future, one is another process's.
 _NOT_PLAYED = ("limit", "remote")
+_SIGNATURE = "mimicik play"
 _PICTURE_SIZE = (1280, 860)
 _PICTURE_S = 5.0  # of motion before a picture, so that paths and plot show something
 
@@ -59,7 +59,7 @@ def main(argv: Sequence[str]) -> int:
     arguments = [
         "--dataset" + a[len("--dataset.root") :] if a.startswith("--dataset.root") else a for a in argv
     ]
-    config = draccus.parse(PlayConfig, args=underscored(arguments), prog="mimicik play")
+    config = parse(PlayConfig, underscored(arguments), "mimicik play")
     _check(config)
     print("Preparing the arm and its solvers ...", flush=True)
     try:
@@ -116,7 +116,10 @@ def make_session(config: PlayConfig) -> PlaySession:
         from lerobot_mimicik.solvers import available_solvers
 
         why = available_solvers().get(unknown[0]) or f"there are {', '.join(session.offered)}"
-        raise ValueError(f"--solvers: {unknown[0]} cannot be played here: {why}.")
+        raise ValueError(
+            f"--solvers: {unknown[0]} cannot be played here: {why}."
+            + did_you_mean(unknown[0], session.offered)
+        )
     session.choose(names)
     if session.refused:
         name, reason = next(iter(session.refused.items()))
@@ -124,7 +127,10 @@ def make_session(config: PlayConfig) -> PlaySession:
     if config.motion:
         found = [name for name in session.motions if name.lower() == config.motion.lower()]
         if not found:
-            raise ValueError(f"--motion: unknown {config.motion!r}; there are {', '.join(session.motions)}.")
+            raise ValueError(
+                f"--motion: unknown {config.motion!r}; there are {', '.join(session.motions)}."
+                + did_you_mean(config.motion, session.motions)
+            )
         session.follow(found[0])
     session.tremor_mm = config.tremor
     return session
@@ -151,8 +157,20 @@ def take_picture(page: PlayPage, path: str) -> None:
         )
         browser.wait_for_drawing()
         browser.picture(path)
+        _sign(path)
         if browser.complaints:
             raise RuntimeError(f"the page complained: {browser.complaints[0]}")
+
+
+def _sign(path: str) -> None:
+    """Note in a picture that it was taken here: such a file may be replaced."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    note = PngInfo()
+    note.add_text("Software", _SIGNATURE)
+    with Image.open(path) as picture:
+        picture.save(path, pnginfo=note)
 
 
 def _check(config: PlayConfig) -> None:
@@ -160,6 +178,7 @@ def _check(config: PlayConfig) -> None:
     from lerobot_mimicik.checkpoints import find_checkpoint
     from lerobot_mimicik.inputs import check_dataset, near
     from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, describe_arm
+    from lerobot_mimicik.outputs import check_file
 
     if config.arm and config.arm not in SHIPPED_ARMS:
         try:
@@ -171,6 +190,8 @@ def _check(config: PlayConfig) -> None:
     if config.dataset:
         check_dataset(config.dataset, "--dataset")
     numbers(config.episodes, "--episodes")
+    if config.screenshot:
+        check_file(config.screenshot, "--screenshot", _SIGNATURE.encode())
     if not 0 <= config.tremor <= 50:  # 5 cm is no tremor any more
         raise ValueError(f"--tremor={config.tremor:g}: expected 0 to 50 mm")
     if not 0 <= config.port < 65536:

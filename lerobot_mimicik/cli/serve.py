@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
-import draccus
-
 from lerobot_mimicik.cli.eval import PolicySource
-from lerobot_mimicik.cli.options import underscored, words
+from lerobot_mimicik.cli.options import parse, underscored, words
+from lerobot_mimicik.kinematics.names import did_you_mean
 
 if TYPE_CHECKING:
     from lerobot_mimicik.kinematics.chain import SerialArm
@@ -58,7 +57,7 @@ class ServeConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    config = draccus.parse(ServeConfig, args=underscored(argv), prog="mimicik serve")
+    config = parse(ServeConfig, underscored(argv), "mimicik serve")
     try:
         from lerobot_mimicik.serving.security import make_keys
     except ModuleNotFoundError as error:
@@ -134,7 +133,10 @@ def _solvers(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], IKS
     names = words(config.solvers) or (["hold", "mimicik"] if config.policy.path else ["hold"])
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise ValueError(f"--solvers: unknown {', '.join(unknown)}; known are {', '.join(known)}.")
+        raise ValueError(
+            f"--solvers: unknown {', '.join(unknown)}; known are {', '.join(known)}."
+            + did_you_mean(unknown[0], known)
+        )
     learned = [name for name in names if name in _LEARNED]
     if learned and not config.policy.path:
         raise ValueError(f"--solvers names {learned[0]}, but --policy.path is missing: which checkpoint?")

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from lerobot_mimicik.kinematics.names import did_you_mean
+
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TABLE_SUFFIXES = (".parquet", ".csv", ".csv.gz", ".tsv")
 GROUPS = (
@@ -153,7 +155,8 @@ def guess_one(table: pd.DataFrame, name: str, role: str, where: str) -> str | No
     """
     if name and name not in table.columns:
         raise ValueError(
-            f"{where} has no {role} column {name!r}; its columns: {', '.join(map(str, table.columns))}"
+            f"{where} has no {role} column {name!r}; its columns: {', '.join(map(str, table.columns))}."
+            + did_you_mean(name, map(str, table.columns))
         )
     return name or next((usual for usual in _ONE[role] if usual in table.columns), None)
 
@@ -179,7 +182,8 @@ def existing(table: pd.DataFrame, names: tuple[str, ...], where: str, role: str)
     missing = [name for name in names if name not in table.columns]
     if missing:
         raise ValueError(
-            f"{where} has no {role} column {missing[0]!r}; its columns: {', '.join(map(str, table.columns))}"
+            f"{where} has no {role} column {missing[0]!r}; its columns: {', '.join(map(str, table.columns))}."
+            + did_you_mean(missing[0], map(str, table.columns))
         )
     return tuple(names)
 

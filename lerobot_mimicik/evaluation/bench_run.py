@@ -43,6 +43,7 @@ from lerobot_mimicik.evaluation.trajectories import (
 )
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.kinematics.names import did_you_mean
 from lerobot_mimicik.solvers import SolverUnavailable, known_solvers, make_solver, solver_configuration
 
 
@@ -186,13 +187,17 @@ def _checked(options: BenchOptions) -> dict[str, LearnedRow | None]:
         raise ValueError(f"--seeds={options.seeds}: expected at least 1.")
     for mode in options.modes:
         if mode not in known_modes():
-            raise ValueError(f"--modes: unknown {mode}; known are {', '.join(known_modes())}.")
+            raise ValueError(
+                f"--modes: unknown {mode}; known are {', '.join(known_modes())}."
+                + did_you_mean(mode, known_modes())
+            )
     rows = {name: LearnedRow.of(name) for name in options.solvers}
     others = [name for name in known_solvers() if LearnedRow.of(name) is None]
     for name, row in rows.items():
         if row is None and name not in others:
             raise ValueError(
                 f"--solvers: unknown {name}; known are {learned_names()}, and {', '.join(others)}."
+                + did_you_mean(name, ["mimicik", "mlp", "unet_diffusion", *others])
             )
         if row is not None and options.train is None:
             raise ValueError(f"--solvers names {name}, which is trained here: on which dataset? --train=...")
@@ -355,7 +360,6 @@ class _Bench:
             options.out, rows, unavailable, notes, list(self._plots.values()), options.command
         )
         if options.markdown is not None:
-            options.markdown.parent.mkdir(parents=True, exist_ok=True)
             options.markdown.write_text(results_markdown(rows, unavailable, notes, options.command))
         return BenchResult(failed, screen_table(rows, unavailable), page)
 

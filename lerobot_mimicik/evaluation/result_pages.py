@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.evaluation.evaluate import Evaluation
 from lerobot_mimicik.evaluation.page import Card, Page, write_page
 from lerobot_mimicik.evaluation.plots import (
@@ -37,11 +38,7 @@ def check_document(path: Path) -> None:
     Raises:
         FileExistsError: If a file is there that the benchmark did not write.
     """
-    if path.exists() and not (path.is_file() and path.read_text().startswith(DOCUMENT_MARK)):
-        raise FileExistsError(
-            f"{path} exists already and is not a document of mimicik bench: choose another file with "
-            "--markdown, or remove it."
-        )
+    outputs.check_file(path, "--markdown", DOCUMENT_MARK.encode())
 
 
 def write_bench_page(

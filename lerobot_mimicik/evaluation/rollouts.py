@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from lerobot_mimicik.evaluation.trajectories import Trajectory
+from lerobot_mimicik.kinematics.names import did_you_mean
 from lerobot_mimicik.solvers.base import Array, IKSolver, OfflineSolver
 
 
@@ -85,7 +86,7 @@ def make_rollouts(
         ValueError: If no mode has that name.
     """
     if mode not in _MODES and mode not in known_modes():
-        raise ValueError(f"Unknown mode {mode!r}; known are {', '.join(_MODES)}.")
+        raise ValueError(f"Unknown mode {mode!r}; known are {', '.join(_MODES)}.{did_you_mean(mode, _MODES)}")
     return _MODES[mode](solver, trajectories, options or RolloutOptions())
 
 

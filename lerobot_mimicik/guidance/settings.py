@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from numbers import Integral, Real
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_mimicik.kinematics.names import did_you_mean
+
 Array = NDArray[np.float64]
+
+# What a damaged checkpoint may ask for at most: arms need a few iterations, policies answer with 100 frames or so.
+_MOST = {"iterations": 100, "horizon": 1000}
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,12 @@ class PoseTask:
             raise ValueError(f"frame={self.frame!r}: expected 'base' or 'tool'")
         if not any(self.weight):
             raise ValueError("weight: all axes are free; at least one must count")
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> PoseTask:
+        """As `GuidanceSettings.of`."""
+        _check_names(cls, values)
+        return cls(**values)
 
 
 @dataclass(frozen=True)
@@ -94,7 +106,7 @@ class GuidanceSettings:
 
     def __post_init__(self) -> None:
         if isinstance(self.task, Mapping):  # read from JSON
-            object.__setattr__(self, "task", PoseTask(**self.task))
+            object.__setattr__(self, "task", PoseTask.of(self.task))
         positive = (
             "max_step",
             "position_tolerance",
@@ -105,16 +117,41 @@ class GuidanceSettings:
         )
         for each in fields(self):
             value: Any = getattr(self, each.name)
-            if isinstance(value, str | PoseTask):
+            if each.type in ("str", "PoseTask"):
                 continue
+            number: Any = Integral if each.type == "int" else Real
+            if isinstance(value, bool) or not isinstance(value, number):
+                kind = "a whole number" if each.type == "int" else "a number"
+                raise ValueError(f"{each.name}={value!r}: expected {kind}")
             if not np.isfinite(value) or value < 0 or (each.name in positive and not value > 0):
                 wanted = "positive" if each.name in positive else "not negative"
                 raise ValueError(f"{each.name} must be finite and {wanted}, got {value}")
+            if value > _MOST.get(each.name, np.inf):
+                raise ValueError(f"{each.name}={value}: expected at most {_MOST[each.name]}")
         if self.collision_margin > self.collision_zone:
             raise ValueError(
                 f"collision_margin={self.collision_margin} is above collision_zone={self.collision_zone}"
             )
 
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        """Settings from keyword arguments or JSON.
+
+        Raises:
+            ValueError: one does not exist, or its value does not fit; the message names it.
+        """
+        _check_names(cls, values)
+        return cls(**values)
+
     def but(self, **changes: Any) -> GuidanceSettings:
         """These settings with some changed."""
         return replace(self, **changes)
+
+
+def _check_names(settings: Any, values: Mapping[str, Any]) -> None:
+    known = [each.name for each in fields(settings)]
+    for name in values:
+        if name not in known:
+            raise ValueError(
+                f"there is no setting {name!r}.{did_you_mean(str(name), known)} Known are {', '.join(known)}"
+            )

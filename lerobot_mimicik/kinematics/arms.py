@@ -12,7 +12,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from lerobot_mimicik.kinematics.urdf import Joint, Urdf, UrdfError, is_urdf_text, listed, read_urdf
+from lerobot_mimicik.kinematics.names import did_you_mean, listed
+from lerobot_mimicik.kinematics.urdf import Joint, Urdf, UrdfError, is_urdf_text, read_urdf
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,10 @@ def _shipped_urdf(name: str) -> Urdf:
 
 def _any_urdf(source: str | Path) -> Urdf:
     if not is_urdf_text(source) and not Path(source).expanduser().is_file():
-        raise UrdfError(f"{str(source)!r} is neither a shipped arm ({listed(SHIPPED_ARMS)}) nor a URDF file")
+        raise UrdfError(
+            f"{str(source)!r} is neither a shipped arm ({listed(SHIPPED_ARMS)}) nor a URDF file."
+            + did_you_mean(str(source), SHIPPED_ARMS)
+        )
     return read_urdf(source)
 
 

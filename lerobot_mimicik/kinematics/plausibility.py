@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
-from lerobot_mimicik.kinematics.urdf import listed
+from lerobot_mimicik.kinematics.names import listed
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,11 @@ def why_not_joints(
         f"{description.joint_names[joint]} is {values[frame, joint]:.4g} rad"
         + (f" in frame {frame}" if len(values) > 1 else "")
         + f", far outside its limits [{lower[joint]:.4g}, {upper[joint]:.4g}]"
-        + (": these are degrees" if radians else ": another unit, another arm, or other numbers than joints")
+        + (
+            ": as degrees the numbers would fit"
+            if radians
+            else ": another unit, another arm, or other numbers than joints"
+        )
     )
 
 
@@ -91,7 +95,11 @@ def why_not_poses(description: ArmDescription, poses: ArrayLike) -> str | None:
         f"the position {' '.join(f'{value:.4g}' for value in positions[frame])} m"
         + (f" in frame {frame}" if len(positions) > 1 else "")
         + f" is {distance[frame]:.4g} m from the arm's base, whose reach is at most {reach:.3g} m"
-        + (": these are millimetres" if millimetres else ": another unit, or another frame than the base")
+        + (
+            ": as millimetres the numbers would fit"
+            if millimetres
+            else ": another unit, or another frame than the base"
+        )
     )
 
 

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from lerobot_mimicik.kinematics.names import did_you_mean
+
 Array = NDArray[np.float64]
 IDENTITY: Array = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
@@ -69,7 +71,9 @@ class PoseReference(enum.StrEnum):
 
 
 def _refuse_choice(choices: type[enum.StrEnum], value: object, what: str) -> None:
-    raise ValueError(f"{value!r} is no {what}: expected one of {', '.join(choices)}")
+    raise ValueError(
+        f"{value!r} is no {what}: expected one of {', '.join(choices)}.{did_you_mean(str(value), choices)}"
+    )
 
 
 def encode_pose(pose: ArrayLike, form: PoseFormat) -> Array:

@@ -12,6 +12,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from lerobot_mimicik.kinematics.names import shortened
+
 MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
 KNOWN_TYPES = (*MOVABLE_TYPES, "fixed", "floating", "planar")
 LONGEST_CHAIN = 256
@@ -164,18 +166,6 @@ def read_urdf(source: str | Path) -> Urdf:
     urdf = Urdf(robot.get("name", "unnamed"), text, links, joints)
     _check_tree(urdf)
     return urdf
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names for an error message: comma-separated, `(none)` when there are none."""
-    return ", ".join(names) or "(none)"
-
-
-def shortened(names: Iterable[str], count: int = 20) -> str:
-    """`listed`, with the number of those left out after the first `count`."""
-    all_names = list(names)
-    rest = len(all_names) - count
-    return listed(all_names[:count]) + (f", and {rest} more" if rest > 0 else "")
 
 
 def is_urdf_text(source: str | Path) -> bool:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_mimicik.kinematics.names import did_you_mean
 from lerobot_mimicik.solvers.availability import Package, SolverUnavailable
 
 if TYPE_CHECKING:
@@ -192,7 +193,10 @@ def make_solver(name: str, arm: SerialArm, **options: Any) -> IKSolver:
         SolverUnavailable: If a package or device that it needs is not here.
     """
     if name not in _FACTORIES:
-        raise ValueError(f"Unknown solver {name!r}; known are {', '.join(known_solvers()) or 'none'}.")
+        raise ValueError(
+            f"Unknown solver {name!r}; known are {', '.join(known_solvers()) or 'none'}."
+            + did_you_mean(name, known_solvers())
+        )
     reason = _why_unavailable(name)
     if reason is not None:
         raise SolverUnavailable(f"The solver {name!r} is not available: {reason}")

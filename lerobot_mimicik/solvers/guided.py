@@ -35,7 +35,7 @@ class GuidedSolver(IKSolver):
             settings: Of `GuidanceSettings`.
         """
         self.arm = arm
-        self._guidance = Guidance(arm_model(arm.description), GuidanceSettings(**settings))
+        self._guidance = Guidance(arm_model(arm.description), GuidanceSettings.of(settings))
         self._upcoming: Array | None = None
 
     def reset(self, q: Array) -> None:

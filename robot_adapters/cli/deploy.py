@@ -11,7 +11,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import draccus
+from lerobot_mimicik import outputs
+from lerobot_mimicik.cli.options import parse
 
 if TYPE_CHECKING:
     from lerobot_mimicik.evaluation.evaluate import Recording
@@ -76,8 +77,9 @@ def main(argv: Sequence[str]) -> int:
     """Run the command; status 1 where the arm stopped before the end."""
     from lerobot_mimicik.cli.options import bare_switches
 
-    config = draccus.parse(DeployConfig, args=bare_switches(argv, DeployConfig), prog="mimicik deploy")
-    summary, row = run(config)
+    config = parse(DeployConfig, bare_switches(argv, DeployConfig), "mimicik deploy")
+    with outputs.alone(config.out):
+        summary, row = run(config)
     from lerobot_mimicik.evaluation.report import markdown_table
 
     print(markdown_table([row]))
@@ -107,7 +109,7 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
 
     Raises:
         ValueError: an option does not fit.
-        FileExistsError: a report is there that this project did not write.
+        FileExistsError: a report, or a recording for rerun, is there that this project did not write.
         FileNotFoundError: the checkpoint or the dataset does not exist.
         ConnectionError: the arm does not answer.
     """
@@ -121,9 +123,12 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
         check_device(config.device)
     if config.dataset.root:
         check_dataset(config.dataset.root, "--dataset.root")
+    if config.display_file:
+        from robot_adapters.display import check_recording
+
+        check_recording(config.display_file)
     import torch
 
-    from lerobot_mimicik import outputs
     from lerobot_mimicik.evaluation.evaluate import make_evaluation
     from lerobot_mimicik.evaluation.latency import Latency
     from lerobot_mimicik.evaluation.metrics import measure

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import draccus
+from lerobot_mimicik.cli.options import parse
 
 HELP = "Check installation, bus, arm and checkpoint without moving anything; every failure comes with its remedy."
 
@@ -36,7 +36,7 @@ class DoctorConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command; status 1 if a check failed."""
-    config = draccus.parse(DoctorConfig, args=list(argv), prog="mimicik doctor")
+    config = parse(DoctorConfig, argv, "mimicik doctor")
     from robot_adapters.doctor import Doctor, DoctorOptions, Finding, Outcome
 
     def show(finding: Finding) -> None:

@@ -6,7 +6,7 @@ import signal
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import draccus
+from lerobot_mimicik.cli.options import parse
 
 HELP = "Put a simulated arm on a bus, for robots and commands in other processes (--interface=udp_multicast)."
 
@@ -32,7 +32,7 @@ def main(argv: Sequence[str]) -> int:
     # Set even for SIGINT: a shell that starts this in the background leaves it ignored.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
-    config = draccus.parse(SimulateConfig, args=list(argv), prog="mimicik simulate")
+    config = parse(SimulateConfig, argv, "mimicik simulate")
     from robot_adapters.airbot.protocol import Tool
     from robot_adapters.simulation.simulated_arm import serve
 

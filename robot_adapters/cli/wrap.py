@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import draccus
-
+from lerobot_mimicik.cli.options import parse
 from robot_adapters.ik_options import IKOptions
 
 HELP = "Put a MimicIK checkpoint into an end-effector policy's, so that it drives robots in joint space."
@@ -42,7 +41,7 @@ class WrapConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    config = draccus.parse(WrapConfig, args=list(argv), prog="mimicik wrap")
+    config = parse(WrapConfig, argv, "mimicik wrap")
     for option, value in (
         ("policy.path", config.policy.path),
         ("output", config.output),

@@ -12,6 +12,7 @@ from lerobot.lerobot_types import RobotAction
 from lerobot.teleoperators.teleoperator import Teleoperator
 from lerobot.utils.decorators import check_if_not_connected
 
+from lerobot_mimicik.kinematics.names import did_you_mean
 from robot_adapters.robots.config_recorded_motion import RecordedMotionConfig
 
 
@@ -22,7 +23,16 @@ class RecordedMotion(Teleoperator):
     name = "recorded_motion"
 
     def __init__(self, config: RecordedMotionConfig) -> None:
+        """A recording that begins to play when it is connected and asked.
+
+        Raises:
+            FileNotFoundError: `dataset_root` is no dataset; said before any robot is connected.
+        """
         super().__init__(config)
+        if not (Path(config.dataset_root).expanduser() / "meta" / "info.json").is_file():
+            raise FileNotFoundError(
+                f"dataset_root={config.dataset_root!r} is no LeRobot dataset: it has no meta/info.json"
+            )
         self.config = config
         self._started: float | None = None
 
@@ -31,17 +41,17 @@ class RecordedMotion(Teleoperator):
         """Keys, values (T, d) and frames per second.
 
         Raises:
-            ValueError: no dataset, column or episode of that name; the message lists those that exist.
+            ValueError: no column or episode of that name; the message lists those that exist.
         """
         from lerobot.datasets import LeRobotDataset
 
-        root = Path(self.config.dataset_root)
-        if not (root / "meta" / "info.json").is_file():
-            raise ValueError(f"dataset_root={str(root)!r} is no LeRobot dataset: it has no meta/info.json")
+        root = Path(self.config.dataset_root).expanduser()
         dataset = LeRobotDataset(f"local/{root.name}", root=root)
         features, column = dataset.meta.features, self.config.column
         if column not in features:
-            raise ValueError(f"column {column!r} is not in {root}; it has {sorted(features)}")
+            raise ValueError(
+                f"column {column!r} is not in {root}; it has {sorted(features)}.{did_you_mean(column, features)}"
+            )
         if not 0 <= self.config.episode < dataset.meta.total_episodes:
             raise ValueError(
                 f"episode {self.config.episode} is not in {root}; it has {dataset.meta.total_episodes}"

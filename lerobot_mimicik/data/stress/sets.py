@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_mimicik import outputs
 from lerobot_mimicik.data.arm_arrays import ArmArrays
 from lerobot_mimicik.data.home import with_home
 from lerobot_mimicik.data.stress.case import StressCase
@@ -21,6 +22,7 @@ from lerobot_mimicik.data.stress.splices import spliced_chunks
 from lerobot_mimicik.data.stress.tremor import trembling
 from lerobot_mimicik.data.writer import write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.names import did_you_mean
 
 Maker = Callable[[ArmArrays, int, float, np.random.Generator], list[StressCase]]
 TREMOR_MM = (0.0, 0.5, 1.0, 2.0)
@@ -70,7 +72,9 @@ def stress_cases(
         ValueError: If there is no such kind, a number is out of range, or the arm cannot have it.
     """
     if kind not in _KINDS:
-        raise ValueError(f"unknown stress set {kind!r}; known are {', '.join(KINDS)}")
+        raise ValueError(
+            f"unknown stress set {kind!r}; known are {', '.join(KINDS)}.{did_you_mean(kind, KINDS)}"
+        )
     frames = round(seconds * fps)
     if episodes < 1 or frames < 2:
         raise ValueError(f"{episodes} episodes of {frames} frames: expected at least 1 of at least 2 frames")
@@ -113,7 +117,11 @@ def make_stress(
     """
     unknown = [kind for kind in kinds if kind not in _KINDS]
     if unknown:
-        raise ValueError(f"unknown stress set {unknown[0]!r}; known are {', '.join(KINDS)}")
+        raise ValueError(
+            f"unknown stress set {unknown[0]!r}; known are {', '.join(KINDS)}.{did_you_mean(unknown[0], KINDS)}"
+        )
+    for kind in kinds:
+        outputs.check_new(Path(output) / kind, "dataset", overwrite)
     description = with_home(description)
     roots: dict[str, Path] = {}
     counts: dict[str, dict[str, int]] = {}
