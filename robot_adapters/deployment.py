@@ -10,16 +10,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_adapters.can.control import ArmMode
+from robot_adapters.arm import Arm, ArmMode, ArmState, CommandResult
 from robot_adapters.clock import Clock
-
-if TYPE_CHECKING:
-    from robot_adapters.airbot.arm import AirbotArm, ArmState, CommandResult
 
 Array = NDArray[np.float64]
 Controller = Callable[[Array, Array, Array], Array]
@@ -65,7 +61,7 @@ type Watcher = Callable[[int, Array, ArmState, Array, CommandResult], None]
 """Told of every frame: number, target, measured state, command, and what the driver made of it."""
 
 
-def approach(arm: AirbotArm, clock: Clock, q: Array, period: float) -> None:
+def approach(arm: Arm, clock: Clock, q: Array, period: float) -> None:
     """Move from where the arm stands to `q` [rad] (dof,), slowly and joint by joint alike.
 
     Raises:
@@ -83,7 +79,7 @@ def approach(arm: AirbotArm, clock: Clock, q: Array, period: float) -> None:
 
 
 def drive(
-    arm: AirbotArm,
+    arm: Arm,
     clock: Clock,
     controller: Controller,
     targets: Array,

@@ -12,7 +12,7 @@ from lerobot_mimicik.kinematics.poses import pose_distance
 from robot_adapters.adapter import MimicIKAdapter
 
 if TYPE_CHECKING:
-    from robot_adapters.airbot.arm import ArmState, CommandResult
+    from robot_adapters.arm import ArmState, CommandResult
 
 _TRAIL = 200  # frames of the path that stay in sight
 _NAME = "mimicik_deploy"  # of the recording in rerun, which stands at the beginning of its file too

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from robot_adapters.airbot.arm import AirbotArm
+from robot_adapters.arm import DriverStatistics
 from robot_adapters.can.bus import BusError
-from robot_adapters.can.statistics import DriverStatistics
 
 
 @contextlib.contextmanager

@@ -18,8 +18,8 @@ from robot_adapters.airbot.arm import AirbotArm, NotConnectedError, StartRefused
 from robot_adapters.airbot.protocol import DmMotor, DmRegister, Tool
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import RangeError, identify
+from robot_adapters.arm import ArmMode
 from robot_adapters.can.bus import BusError, NoAnswerError, open_bus
-from robot_adapters.can.control import ArmMode
 from robot_adapters.clock import SimulatedClock
 from robot_adapters.safety import CommandStatus
 from robot_adapters.simulation.cell import SimulatedCell

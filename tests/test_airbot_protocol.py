@@ -23,7 +23,6 @@ from robot_adapters.airbot.protocol import (
     OdMotor,
     OdRegister,
     ParameterReply,
-    error_name,
     motor_angle_from_opening,
     opening_from_motor_angle,
 )
@@ -246,10 +245,10 @@ def test_board_values_come_in_numbered_segments():
 
 
 def test_errors_have_names():
-    assert error_name(DmMotor(4), 1) is None
-    assert error_name(OdMotor(1), 0) is None
-    assert "over-temperature" in error_name(DmMotor(4), 12)
-    assert "30" in error_name(OdMotor(1), 30)
+    assert DmMotor(4).fault(1) is None
+    assert OdMotor(1).fault(0) is None
+    assert "over-temperature" in DmMotor(4).fault(12)
+    assert "30" in OdMotor(1).fault(30)
 
 
 @given(st.floats(0.0, 0.07))

@@ -14,8 +14,8 @@ from driver_cell import QUICK, SlowMotion, connected_cell, names, track
 pytest.importorskip("mujoco")
 
 from robot_adapters.airbot.protocol import DmLifecycle, DmMotor
+from robot_adapters.arm import ArmMode
 from robot_adapters.can.bus import open_bus
-from robot_adapters.can.control import ArmMode
 from robot_adapters.safety import CommandStatus
 from robot_adapters.simulation.cell import SimulatedCell
 from robot_adapters.simulation.faults import Fault, FaultKind

@@ -16,8 +16,8 @@ from test_airbot_identification import DESCRIPTION, load
 pytest.importorskip("mujoco")
 
 from robot_adapters.airbot.protocol import DmLifecycle, DmMotor
+from robot_adapters.arm import ArmMode
 from robot_adapters.can.bus import open_bus
-from robot_adapters.can.control import ArmMode
 from robot_adapters.can.gravity import GravityModel
 from robot_adapters.can.witness import MotionWitness, TorqueWitness
 from robot_adapters.safety import CommandStatus

@@ -20,8 +20,8 @@ from robot_adapters.airbot.protocol import (
     OdMotor,
     all_motors,
 )
+from robot_adapters.arm import ArmMode
 from robot_adapters.can.bus import open_bus
-from robot_adapters.can.control import ArmMode
 from robot_adapters.can.one_master import MasterWatch
 from robot_adapters.safety import ForeignMaster
 from robot_adapters.simulation.cell import SimulatedCell

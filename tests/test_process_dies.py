@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 from robot_adapters.airbot.protocol import DmMotor, OdMotor
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import RegisterError
-from robot_adapters.can.control import ArmMode
+from robot_adapters.arm import ArmMode
 from robot_adapters.simulation.cell import SimulatedCell
 from robot_adapters.simulation.listener import BusListener
 

@@ -31,8 +31,3 @@ def motor_angle_from_opening(opening: float) -> float:
     slider = min(max(opening, 0.0) / 2.0 + _OFFSET, _CRANK + _ROD)
     cosine = (slider**2 + _CRANK**2 - _ROD**2) / (2.0 * slider * _CRANK)
     return math.acos(min(max(cosine, -1.0), 1.0)) - _CLOSED_ANGLE
-
-
-def motor_speed_from_opening_speed(speed: float) -> float:
-    """Motor speed [rad/s] at which the gripper opens all the way at `speed` [m/s] on average."""
-    return speed * abs(motor_angle_from_opening(MAX_OPENING)) / MAX_OPENING

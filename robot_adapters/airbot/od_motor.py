@@ -150,6 +150,15 @@ class OdMotor:
         return self.id
 
     @property
+    def reply_ids(self) -> tuple[int, ...]:
+        """Ids of all frames that the motor sends: feedback and registers above 0x80, registers below."""
+        return self.id, 0x100 | self.id
+
+    def fault(self, code: int) -> str | None:
+        """Why a motor that reports this error code does not run; None when it runs."""
+        return None if code == 0 else OD_ERRORS.get(code, f"unknown error {code}")
+
+    @property
     def order_ids(self) -> tuple[int, ...]:
         """Ids of the frames that may tell the motor to do something."""
         return self.id, 0x80 | self.id, _CONFIGURATION_ID

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from robot_adapters.airbot.boards import BASE_BOARD_ID, END_BOARD_ID, Board, BoardRegister, Tool
 from robot_adapters.airbot.gripper import motor_angle_from_opening, opening_from_motor_angle
-from robot_adapters.airbot.od_motor import OD_ERRORS, OdMotor, OdRegister
-from robot_adapters.can.dm_motor import DM_ENABLED, DM_ERRORS, MIT_MODE, DmLifecycle, DmMotor, DmRegister
+from robot_adapters.airbot.od_motor import OdMotor, OdRegister
+from robot_adapters.can.dm_motor import MIT_MODE, DmLifecycle, DmMotor, DmRegister
 from robot_adapters.can.mit_frames import MitCommand, MotorFeedback, ParameterReply, ParameterRequest
 
 __all__ = [
@@ -34,7 +34,6 @@ __all__ = [
     "ParameterRequest",
     "Tool",
     "all_motors",
-    "error_name",
     "motor_angle_from_opening",
     "opening_from_motor_angle",
 ]
@@ -46,10 +45,3 @@ OD_JOINTS, DM_JOINTS, GRIPPER_ID = (1, 2, 3), (4, 5, 6), 7
 def all_motors() -> list[Motor]:
     """Codecs of every motor that an arm may have, with documented ranges."""
     return [*(OdMotor(i) for i in OD_JOINTS), *(DmMotor(i) for i in (*DM_JOINTS, GRIPPER_ID))]
-
-
-def error_name(motor: Motor, code: int) -> str | None:
-    """The name of a motor's error; None when the code says that all is well (DM: enabled or disabled)."""
-    if isinstance(motor, OdMotor):
-        return None if code == 0 else OD_ERRORS.get(code, f"unknown error {code}")
-    return None if code <= DM_ENABLED else DM_ERRORS.get(code, f"unknown error {code}")

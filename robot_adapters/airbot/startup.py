@@ -31,6 +31,7 @@ from robot_adapters.airbot.protocol import (
 )
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.can.bus import NoAnswerError, ask, drain, receive, send
+from robot_adapters.can.driver import ArmIdentity, MotorIdentity
 from robot_adapters.can.one_master import find_master
 from robot_adapters.clock import Clock
 from robot_adapters.safety import ForeignMaster
@@ -53,24 +54,15 @@ class RangeError(RegisterError):
 
 
 @dataclass(frozen=True)
-class MotorIdentity:
-    """A motor as it answered: its codec with the ranges it reported, its position [rad], its firmware."""
-
-    motor: Motor
-    position: float
-    firmware: str
-
-
-@dataclass(frozen=True)
-class ArmIdentity:
-    """What is on the bus. Texts are empty and numbers NaN where a board did not say."""
+class AirbotIdentity(ArmIdentity):
+    """What is on the bus, and which tool the end board reports."""
 
     tool: Tool
-    name: str
-    serial: str
-    voltage: float
-    gravity_factors: tuple[float, ...]
-    motors: tuple[MotorIdentity, ...]
+
+    @property
+    def codecs(self) -> list[Motor]:
+        """The motors' codecs, of the two families that this arm has."""
+        return [each.motor for each in self.motors if isinstance(each.motor, OdMotor | DmMotor)]
 
 
 def other_master(
@@ -80,7 +72,7 @@ def other_master(
     return find_master(bus, clock, all_motors(), (settings or AirbotSettings()).listen)
 
 
-def identify(bus: can.BusABC, clock: Clock, settings: AirbotSettings | None = None) -> ArmIdentity:
+def identify(bus: can.BusABC, clock: Clock, settings: AirbotSettings | None = None) -> AirbotIdentity:
     """Ask boards and motors who they are, read only: no motor is enabled, disabled or moved.
 
     Raises NoAnswerError for a motor, or for the end board unless the settings name the tool, and RangeError
@@ -92,18 +84,18 @@ def identify(bus: can.BusABC, clock: Clock, settings: AirbotSettings | None = No
     motors += [_identify_dm(bus, clock, i, settings) for i in DM_JOINTS]
     if tool is Tool.G2:
         motors.append(_identify_dm(bus, clock, GRIPPER_ID, settings))
-    return ArmIdentity(
-        tool,
+    return AirbotIdentity(
         _board_text(bus, clock, BoardRegister.NAME),
         _board_text(bus, clock, BoardRegister.PRODUCT_SERIAL),
         _board_number(bus, clock, BoardRegister.VOLTAGE),
         settings.gravity_factors or read_gravity_factors(bus, clock, tool),
         tuple(motors),
+        tool,
     )
 
 
 def bring_up(
-    bus: can.BusABC, clock: Clock, identity: ArmIdentity, settings: AirbotSettings | None = None
+    bus: can.BusABC, clock: Clock, identity: AirbotIdentity, settings: AirbotSettings | None = None
 ) -> list[float]:
     """Make the motors ready for MIT commands; their positions [rad] when all were, the first target to
     command.
@@ -113,7 +105,7 @@ def bring_up(
     RegisterError for a motor that does not take the timeout.
     """
     settings = settings or AirbotSettings()
-    motors = [each.motor for each in identity.motors]
+    motors = identity.codecs
     for motor in motors:
         if not isinstance(motor, DmMotor):
             _set_timeout(bus, clock, motor, settings.motor_timeout)

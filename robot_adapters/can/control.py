@@ -1,4 +1,4 @@
-"""The control loop of the AIRBOT Play: one tick reads feedback, judges the arm's state and commands every
+"""The control loop of an arm of MIT motors: one tick reads feedback, judges the arm's state and commands every
 motor.
 
 A tick is a plain call, so that a thread runs it at 250 Hz on a real clock and a schedule on a simulated one.
@@ -17,29 +17,26 @@ where it stands. Joints in trouble are braked instead.
 
 from __future__ import annotations
 
-import enum
 import math
 import threading
 from collections import deque
+from collections.abc import Sequence
 
 import can
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_adapters.airbot.gripper import (
-    MAX_OPENING,
-    motor_angle_from_opening,
-    motor_speed_from_opening_speed,
-)
-from robot_adapters.airbot.protocol import Motor, MotorFeedback, ParameterReply
-from robot_adapters.airbot.settings import AirbotSettings
+from robot_adapters.arm import ArmMode
 from robot_adapters.can.bus import BusError, reports_bus_off, send
 from robot_adapters.can.dm_motor import DmRegister
 from robot_adapters.can.feedback import FeedbackTable
 from robot_adapters.can.gravity import GravityModel
 from robot_adapters.can.interpolation import Interpolator
+from robot_adapters.can.mit_frames import MotorFeedback, ParameterReply
 from robot_adapters.can.mode_watch import ModeWatch
+from robot_adapters.can.motor import Motor
 from robot_adapters.can.one_master import MasterWatch
+from robot_adapters.can.settings import GripperMotor, LoopSettings
 from robot_adapters.can.statistics import Recorder
 from robot_adapters.can.witness import TorqueWitness
 from robot_adapters.clock import Clock
@@ -66,14 +63,6 @@ _TORQUE_SHARE = 0.8  # of the motor's torque range that the feed-forward may tak
 _EVENTS_KEPT = 1000
 
 
-class ArmMode(enum.StrEnum):
-    """What the control loop is doing."""
-
-    TRACKING = "tracking"
-    HOLD = "hold"
-    STOPPED = "stopped"
-
-
 class ControlLoop:
     """The state of one running arm. `tick` runs in one thread; the other methods may be called from any."""
 
@@ -81,21 +70,23 @@ class ControlLoop:
         self,
         bus: can.BusABC,
         clock: Clock,
-        motors: list[Motor],
+        motors: Sequence[Motor],
         gate: SafetyGate,
         gravity: GravityModel,
         factors: ArrayLike,
-        settings: AirbotSettings,
+        settings: LoopSettings,
         q: ArrayLike,
-        gripper_angle: float | None,
+        gripper: GripperMotor | None = None,
+        gripper_angle: float = 0.0,
     ) -> None:
-        """Starts holding `q` [rad] (dof,), the measured angles; `motors` in joint order, then the gripper's,
-        if any.
+        """Starts holding `q` [rad] (dof,) and the gripper's motor at `gripper_angle` [rad], as measured.
+
+        `motors` are in joint order, then the gripper's where there is a `gripper`.
         """
         self.bus, self.clock, self.gate, self.settings = bus, clock, gate, settings
         self.motors, self.dof = motors, len(gate.joint_names)
         self.limits = gate.limits
-        known = [*np.asarray(q, dtype=float), *([] if gripper_angle is None else [gripper_angle])]
+        known = [*np.asarray(q, dtype=float), *([] if gripper is None else [gripper_angle])]
         self.table = FeedbackTable(motors, gate, known)
         self.recorder = Recorder()
         self.mode = ArmMode.HOLD
@@ -109,8 +100,10 @@ class ControlLoop:
         # A tick that comes late must not catch up in one step.
         self._speed, self._longest_step = speed, 2.0 / settings.rate
         self._sent, self._sent_at = np.array(q, dtype=float), clock.monotonic()
-        gripper_speed = motor_speed_from_opening_speed(settings.gripper_speed)
-        self._gripper = None if gripper_angle is None else Interpolator([gripper_angle], gripper_speed)
+        self.gripper = gripper
+        self._gripper_setpoint = (
+            None if gripper is None else Interpolator([gripper_angle], gripper.motor_speed)
+        )
         self._decoders = _decoders(motors)
         self._masters, self._modes = MasterWatch(motors), ModeWatch(motors)
         self._last_tick = clock.monotonic()
@@ -149,8 +142,9 @@ class ControlLoop:
                 self._setpoint.aim(verdict.q, now)
                 self._target_stamp, self._had_target = now, True
                 self.mode = ArmMode.TRACKING
-                if opening is not None and self._gripper is not None:
-                    self._gripper.aim([motor_angle_from_opening(min(max(opening, 0.0), MAX_OPENING))], now)
+                if opening is not None and self.gripper is not None and self._gripper_setpoint is not None:
+                    within = min(max(opening, 0.0), self.gripper.max_opening)
+                    self._gripper_setpoint.aim([self.gripper.motor_angle(within)], now)
             return Verdict(verdict.status, self._setpoint.target.copy(), self.news() + verdict.events)
 
     def target(self) -> NDArray[np.float64]:
@@ -212,9 +206,12 @@ class ControlLoop:
         if opening is not None and not math.isfinite(opening):
             return _refusal(NonFiniteCommand(f"gripper opening {opening}"))
         verdict = self.gate.admit(q, self._setpoint.target, elapsed)
-        if verdict.q is None or opening is None or 0.0 <= opening <= MAX_OPENING:
+        if verdict.q is None or opening is None or self.gripper is None:
             return verdict
-        event = JointLimitViolation(f"gripper opening {opening:.4f} m outside [0, {MAX_OPENING}]")
+        widest = self.gripper.max_opening
+        if 0.0 <= opening <= widest:
+            return verdict
+        event = JointLimitViolation(f"gripper opening {opening:.4f} m outside [0, {widest}]")
         return Verdict(CommandStatus.LIMITED, verdict.q, (*verdict.events, event))
 
     def _read(self, now: float) -> None:
@@ -280,8 +277,8 @@ class ControlLoop:
 
     def _hold(self, now: float, event: SafetyEvent) -> None:
         self._setpoint.settle(self._sent, now)
-        if self._gripper is not None:
-            self._gripper.settle(self._gripper.sample(now)[0], now)
+        if self._gripper_setpoint is not None:
+            self._gripper_setpoint.settle(self._gripper_setpoint.sample(now)[0], now)
         self.mode = ArmMode.HOLD
         self.recorder.events[event.name] += 1
         self._news.append(event)
@@ -315,15 +312,15 @@ class ControlLoop:
                 dq, kp, tau = 0.0, 0.0, tau if blind else 0.0
                 kd = max(kd, settings.final_damping[joint]) if blind else kd
             failures += self._send(motor, motor.encode_mit(q, dq, tau, kp, kd))
-        if self._gripper is not None:
-            angle, rate = (value.item() for value in self._gripper.sample(now))
-            kp, kd = self._gain_scale * settings.gripper_kp, settings.gripper_kd
+        if self.gripper is not None and self._gripper_setpoint is not None:
+            angle, rate = (value.item() for value in self._gripper_setpoint.sample(now))
+            kp, kd = self._gain_scale * self.gripper.kp, self.gripper.kd
             if self.mode is ArmMode.STOPPED:
                 rate = 0.0
             if self._let_go:
                 kp = 0.0
-            gripper = self.motors[-1]
-            failures += self._send(gripper, gripper.encode_mit(angle, rate, 0.0, kp, kd))
+            motor = self.motors[-1]
+            failures += self._send(motor, motor.encode_mit(angle, rate, 0.0, kp, kd))
         asked = self._modes.due(now)
         if asked is not None:
             self._send(asked, asked.request(DmRegister.CONTROL_MODE))
@@ -355,7 +352,7 @@ class ControlLoop:
         return False
 
 
-def _resting_velocity(settings: AirbotSettings, dof: int) -> NDArray[np.float64]:
+def _resting_velocity(settings: LoopSettings, dof: int) -> NDArray[np.float64]:
     """kp/kd [1/s] (dof,): the commanded velocity per angle by which a joint would rest beside its position."""
     return np.asarray(settings.kp[:dof], dtype=float) / np.maximum(settings.kd[:dof], 1e-6)
 
@@ -364,10 +361,6 @@ def _refusal(event: SafetyEvent) -> Verdict:
     return Verdict(CommandStatus.REFUSED, None, (event,))
 
 
-def _decoders(motors: list[Motor]) -> dict[int, Motor]:
+def _decoders(motors: Sequence[Motor]) -> dict[int, Motor]:
     """Which motor sends on which id."""
-    by_id: dict[int, Motor] = {}
-    for motor in motors:
-        for offset in (0x000, 0x100) if motor.family == "od" else (0x700,):
-            by_id[offset | motor.id] = motor
-    return by_id
+    return {arbitration_id: motor for motor in motors for arbitration_id in motor.reply_ids}

@@ -1,4 +1,4 @@
-"""Codec of the DM (Damiao) motors, joints 4 to 6 of the AIRBOT Play and its G2 gripper."""
+"""Codec of the DM (Damiao) motors."""
 
 from __future__ import annotations
 
@@ -171,6 +171,11 @@ class DmMotor:
         return 0x700 | self.id
 
     @property
+    def reply_ids(self) -> tuple[int, ...]:
+        """Ids of all frames that the motor sends."""
+        return (self.answer_id,)
+
+    @property
     def order_ids(self) -> tuple[int, ...]:
         """Ids of the frames that may tell the motor to do something."""
         return self.id, *(offset | self.id for offset in _OTHER_MODES), _REQUEST_ID
@@ -188,6 +193,12 @@ class DmMotor:
         if message.arbitration_id == _REQUEST_ID and data[:2] == bytes([self.id, 0]) and len(data) >= 4:
             return f"write of register 0x{data[3]:02X}" if data[2] in (_WRITE, _SAVE) else None
         return None
+
+    def fault(self, code: int) -> str | None:
+        """Why a motor that reports this error code does not run; None when it runs."""
+        if code == DM_ENABLED:
+            return None
+        return "disabled" if code == DM_DISABLED else DM_ERRORS.get(code, f"unknown error {code}")
 
     def ping(self) -> can.Message:
         """The frame that a motor answers with its feedback without moving."""

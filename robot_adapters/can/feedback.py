@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_adapters.airbot.protocol import DmMotor, Motor, MotorFeedback, error_name
+from robot_adapters.can.mit_frames import MotorFeedback
+from robot_adapters.can.motor import Motor
 from robot_adapters.can.witness import MotionWitness
 from robot_adapters.safety import (
     MotorFault,
@@ -76,7 +77,7 @@ class MotorRecord:
             return SensorFault(self.witness.objection)
         lasting = self._troubled >= _TROUBLED
         if self._bad_state >= _STREAK or (lasting and self._bad()):
-            what = error_name(self.motor, self.error) or "disabled"
+            what = self.motor.fault(self.error)
             return MotorFault(f"motor {self.motor.id} reports {what} (code {self.error})")
         if self._too_hot >= _STREAK or lasting:
             temperatures = f"{self.motor_temperature} C, its MOSFETs at {self.mosfet_temperature} C"
@@ -85,9 +86,7 @@ class MotorRecord:
         return None
 
     def _bad(self) -> bool:
-        if error_name(self.motor, self.error) is not None:
-            return True
-        return isinstance(self.motor, DmMotor) and self.error == 0
+        return self.motor.fault(self.error) is not None
 
     def _hot(self, limits: SafetyLimits) -> bool:
         return (
@@ -99,7 +98,7 @@ class MotorRecord:
 class FeedbackTable:
     """The records of all motors of an arm, joints first, and what they say together."""
 
-    def __init__(self, motors: list[Motor], gate: SafetyGate, positions: Sequence[float]) -> None:
+    def __init__(self, motors: Sequence[Motor], gate: SafetyGate, positions: Sequence[float]) -> None:
         """`motors` in joint order, the gripper's last; the first ones are the joints of `gate`.
 
         `positions` [rad] are those read when the motors were started, known until they report.

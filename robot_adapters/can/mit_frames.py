@@ -1,6 +1,6 @@
-"""What the frames of the AIRBOT Play bus carry: fixed-point numbers, feedback, parameters and requests.
+"""What the frames of MIT motors carry: fixed-point numbers, feedback, parameters and requests.
 
-Everything here is shared by the codecs of the two motor families and of the boards. Angles are radians,
+Everything here is shared by the codecs of the motor families and of an arm's boards. Angles are radians,
 velocities rad/s, torques Nm in the motor's own units, temperatures degrees Celsius.
 """
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Protocol
 
 import can
 
 from robot_adapters.can.bus import receive
 from robot_adapters.can.mit_frames import payload
+from robot_adapters.can.motor import Motor
 from robot_adapters.clock import Clock
 from robot_adapters.safety import ForeignMaster
 
@@ -25,26 +25,6 @@ _EXCESS = 4
 _STRAYS = 0.1
 
 
-class WatchedMotor(Protocol):
-    """What the watch needs of a motor's codec."""
-
-    id: int
-
-    @property
-    def answer_id(self) -> int:
-        """Id of the frames with which the motor answers commands."""
-        ...
-
-    @property
-    def order_ids(self) -> tuple[int, ...]:
-        """Ids of the frames that may tell it to do something."""
-        ...
-
-    def order(self, message: can.Message) -> str | None:
-        """What a frame tells the motor to do; None when it leaves the motor as it is."""
-        ...
-
-
 class MasterWatch:
     """Tells our own traffic from another master's.
 
@@ -54,9 +34,9 @@ class MasterWatch:
     question of ours between them, does not count: it may be a doubled frame.
     """
 
-    def __init__(self, motors: Sequence[WatchedMotor], excess: int = _EXCESS) -> None:
+    def __init__(self, motors: Sequence[Motor], excess: int = _EXCESS) -> None:
         """`excess`: answers beyond those to our own frames that a motor may give."""
-        self._by_order: dict[int, list[WatchedMotor]] = {}
+        self._by_order: dict[int, list[Motor]] = {}
         for motor in motors:
             for arbitration_id in motor.order_ids:
                 self._by_order.setdefault(arbitration_id, []).append(motor)
@@ -102,7 +82,7 @@ class MasterWatch:
 
 
 def find_master(
-    bus: can.BusABC, clock: Clock, motors: Sequence[WatchedMotor], seconds: float
+    bus: can.BusABC, clock: Clock, motors: Sequence[Motor], seconds: float
 ) -> ForeignMaster | None:
     """Listen for `seconds` without sending anything; the event, if somebody commands the motors."""
     start = clock.monotonic()

@@ -7,35 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from robot_adapters.arm import DriverStatistics
+
 _WINDOW = 15_000  # ticks kept for the percentiles: one minute at 250 Hz
-
-
-@dataclass(frozen=True)
-class DriverStatistics:
-    """What the driver has counted since it connected.
-
-    Times in milliseconds over the last minute: `period_*` between ticks, `busy_*` inside them, `age_max` of
-    the oldest joint feedback at a tick. `unread` is the number of frames waiting in the receive queue.
-    """
-
-    ticks: int
-    overruns: int
-    period_mean_ms: float
-    period_p99_ms: float
-    period_max_ms: float
-    jitter_std_ms: float
-    busy_p99_ms: float
-    age_max_ms: float
-    frames_sent: int
-    frames_received: dict[int, int]
-    frames_unknown: int
-    frames_implausible: int
-    send_errors: int
-    unread: int
-    targets_accepted: int
-    targets_limited: int
-    targets_refused: int
-    events: dict[str, int]
 
 
 @dataclass

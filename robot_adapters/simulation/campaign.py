@@ -15,11 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_adapters.airbot.arm import StartRefusedError
 from robot_adapters.airbot.settings import AirbotSettings
 from robot_adapters.airbot.startup import RangeError
+from robot_adapters.arm import ArmMode, StartRefusedError
 from robot_adapters.can.bus import BusError
-from robot_adapters.can.control import ArmMode
 from robot_adapters.safety import CommandStatus, FollowingError, SafetyEvent, SafetyLimits
 from robot_adapters.simulation.cell import SimulatedCell
 from robot_adapters.simulation.disturbances import Disturbance

@@ -10,8 +10,9 @@ from collections import deque
 import can
 import numpy as np
 
-from robot_adapters.airbot.arm import AirbotArm, StartRefusedError
+from robot_adapters.airbot.arm import AirbotArm
 from robot_adapters.airbot.protocol import DmLifecycle, DmMotor, DmRegister, all_motors
+from robot_adapters.arm import StartRefusedError
 from robot_adapters.can.bus import open_bus
 from robot_adapters.clock import Schedule, SimulatedClock
 from robot_adapters.simulation.cell import SimulatedCell

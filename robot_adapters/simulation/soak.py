@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_adapters.can.statistics import DriverStatistics
+from robot_adapters.arm import DriverStatistics
 from robot_adapters.clock import Clock
 from robot_adapters.simulation.cell import SimulatedCell
 
