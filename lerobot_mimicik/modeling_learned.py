@@ -317,6 +317,12 @@ class LearnedIKPolicy(PreTrainedPolicy):
         """A chunk of one action, shape (B, 1, d): see :meth:`select_action`."""
         return self.select_action(batch, **kwargs).unsqueeze(1)
 
+    def digest(self) -> str:
+        """What tells these weights from others; see `weights_digest`."""
+        from lerobot_mimicik.publishing.hub import weights_digest
+
+        return weights_digest(self.state_dict())
+
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
         """Absolute joint commands in the dataset's units and layout.
 

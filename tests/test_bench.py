@@ -197,6 +197,7 @@ def test_wrong_options_are_refused(made, option, message, capsys):
         ("mimicik_fk0.05", "mimicik", ["--policy.fk_weight=0.05"]),
         ("mlp_fk0.1", "mlp", ["--policy.fk_weight=0.1"]),
         ("unet_diffusion", "unet_diffusion", []),
+        ("mimicik_nofk_guided", "mimicik", ["--policy.fk_weight=0"]),
     ],
 )
 def test_names_of_learned_rows_say_what_is_trained(name, base, options):
@@ -206,7 +207,7 @@ def test_names_of_learned_rows_say_what_is_trained(name, base, options):
     assert training_process.find_recipe(row.recipe("paper")).is_file()
 
 
-@pytest.mark.parametrize("name", ["hold", "mimicik_fk", "mimicik_", "mimicik_nofk0.1"])
+@pytest.mark.parametrize("name", ["hold", "guided", "mimicik_fk", "mimicik_", "mimicik_nofk0.1"])
 def test_other_names_are_no_learned_rows(name):
     assert LearnedRow.of(name) is None
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lerobot_mimicik import outputs
+from lerobot_mimicik.checkpoints import find_checkpoint
+from lerobot_mimicik.cli.eval import PolicySource
 from lerobot_mimicik.cli.options import numbers, parse, renamed, words
 
 if TYPE_CHECKING:
@@ -25,6 +27,8 @@ class BenchConfig:
     datasets: str = ""
     # Folder of the LeRobot dataset to train on, made by mimicik make-dataset; needed for learned rows only.
     train: str = ""
+    # --policy.path: a checkpoint for the rows mimicik and mimicik_guided, which are else trained on --train.
+    policy: PolicySource = field(default_factory=PolicySource)
     # The datasets' arm where they do not say: a shipped one (airbot_play, piper) or the path of a URDF.
     arm: str = ""
     # rad or deg: the datasets' joints.
@@ -38,7 +42,7 @@ class BenchConfig:
     train_episodes: str = ""
     episodes: str = ""
     # Rows: solvers by name, and the learned mimicik, mlp and unet_diffusion, each also with _nofk (no FK loss)
-    # or _fk0.2 (that weight of it).
+    # or _fk0.2 (that weight of it), and with _guided after it (the prior of the guided solver).
     solvers: str = "mimicik,mimicik_nofk,mlp,unet_diffusion,hold"
     # open_loop: recorded joints in at every frame. closed_loop: each command is the next measurement. plant:
     # the commands drive a simulated AIRBOT Play over its bus, and what that measures is the next measurement;
@@ -103,6 +107,7 @@ def run(config: BenchConfig, progress: bool = True, command: str = "") -> BenchR
     options = BenchOptions(
         datasets=roots,
         train=Path(config.train) if config.train else None,
+        policy=find_checkpoint(config.policy.path) if config.policy.path else "",
         arm=config.arm,
         joint_units=config.joint_units,
         target=config.target,

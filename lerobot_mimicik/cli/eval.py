@@ -115,7 +115,6 @@ def run(
     from lerobot_mimicik.evaluation.short_table import measured
     from lerobot_mimicik.evaluation.trajectories import Layout, distinct_names, load_trajectories
     from lerobot_mimicik.kinematics.chain import SerialArm
-    from lerobot_mimicik.publishing.hub import weights_digest
     from lerobot_mimicik.solvers import SolverUnavailable, known_solvers, make_solver
 
     modes = _known(words(config.modes), known_modes(), "--modes")
@@ -164,7 +163,7 @@ def run(
             rows.append(unavailable_row(name, str(error)))
     settings = asdict(config) | {"device": str(policy.config.device) if policy is not None else "cpu"}
     if policy is not None:
-        settings["weights"] = weights_digest(policy.state_dict())
+        settings["weights"] = policy.digest()
     evaluations: list[Evaluation] = []
     for evaluation in evaluate(
         arm,

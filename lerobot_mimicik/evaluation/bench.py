@@ -1,7 +1,8 @@
 """The benchmark's rows: which policies they train, how seeds become one row, and the table of all.
 
-A learned row is named after what is trained: ``mimicik``, ``mlp`` and ``unet_diffusion`` as their recipes
-say, with ``_nofk`` without the FK consistency loss, with ``_fk0.2`` under that weight of it.
+A learned row is named after what is trained: `mimicik`, `mlp` and `unet_diffusion` as their recipes
+say, with `_nofk` without the FK consistency loss, with `_fk0.2` under that weight of it. With `_guided` after all
+that it is the same network as the prior of the guided solver, which is what the adapter runs.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _ABOUT = {
     "mlp": "The paper's pure MLP, one forward pass",
     "unet_diffusion": "1-D UNet, DDPM with 10 steps (diffusers)",
 }
-_NAME = re.compile(rf"({'|'.join(_RECIPES)})(?:_(nofk)|_fk(\d+(?:\.\d+)?))?")
+_NAME = re.compile(rf"(({'|'.join(_RECIPES)})(?:_(nofk)|_fk(\d+(?:\.\d+)?))?)(_guided)?")
 # Counts, of which a row shows the worst seed's.
 _WORST = ("frames", "nonfinite", "episodes")
 _QUANTILES = np.linspace(0, 1, 201)
@@ -39,11 +40,13 @@ class LearnedRow:
 
     Attributes:
         name: How the table calls it.
+        trained: What is trained for it: the name of the network's own row.
         base: Which policy: "mimicik", "mlp" or "unet_diffusion".
         fk_weight: Weight of the FK consistency loss; None is the recipe's.
     """
 
     name: str
+    trained: str
     base: str
     fk_weight: float | None = None
 
@@ -53,8 +56,13 @@ class LearnedRow:
         found = _NAME.fullmatch(name)
         if found is None:
             return None
-        base, without, weight = found.groups()
-        return cls(name, base, 0.0 if without else float(weight) if weight else None)
+        trained, base, without, weight, _ = found.groups()
+        return cls(name, trained, base, 0.0 if without else float(weight) if weight else None)
+
+    @property
+    def solver(self) -> str:
+        """The solver that runs the checkpoint."""
+        return "mimicik" if self.name == self.trained else "mimicik_guided"
 
     def recipe(self, size: str) -> str:
         """File name of the recipe it is trained by."""
@@ -68,12 +76,13 @@ class LearnedRow:
         """What tables say beside the row."""
         loss = "as the recipe says" if self.fk_weight is None else f"weighted by {self.fk_weight:g}"
         recipe = f"recipe configs/{self.recipe(size)}, FK consistency loss {loss}"
-        return f"{_ABOUT[self.base]}; {recipe}; trained by lerobot-train"
+        guided = "" if self.name == self.trained else "; its step is the guided solver's prior"
+        return f"{_ABOUT[self.base]}; {recipe}; trained by lerobot-train{guided}"
 
 
 def learned_names() -> str:
     """The names of learned rows, as messages list them."""
-    return f"{', '.join(_RECIPES)}, each also with _nofk or _fk0.2"
+    return f"{', '.join(_RECIPES)}, each also with _nofk or _fk0.2, and with _guided"
 
 
 class Summary:

@@ -16,11 +16,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from lerobot_mimicik import outputs
+from lerobot_mimicik.checkpoints import load_policy
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.data.writer import ARM_FILE, read_arm_json
 from lerobot_mimicik.evaluation.anatomy import Ordeal, load_commands, make_ordeals, save_commands, undergo
@@ -46,6 +47,9 @@ from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.names import did_you_mean
 from lerobot_mimicik.solvers import SolverUnavailable, known_solvers, make_solver, solver_configuration
 
+if TYPE_CHECKING:
+    from lerobot_mimicik.modeling_learned import LearnedIKPolicy
+
 
 @dataclass(frozen=True)
 class BenchOptions:
@@ -54,6 +58,7 @@ class BenchOptions:
     Attributes:
         datasets: Folders of the LeRobot datasets to measure on.
         train: Folder of the LeRobot dataset to train on; None where no row is trained.
+        policy: Checkpoint that the rows `mimicik` and `mimicik_guided` are measured with in place of trainings.
         arm: A shipped arm or the path of a URDF, where the datasets do not name it.
         joint_units, target, state_joint_names: As in `Layout`; of the action too.
         train_episodes, episodes: Episodes to train and to measure on; empty: all of them.
@@ -75,6 +80,7 @@ class BenchOptions:
 
     datasets: tuple[Path, ...]
     train: Path | None = None
+    policy: str = ""
     arm: str = ""
     joint_units: str = "rad"
     target: str = "action"
@@ -151,17 +157,23 @@ def run_bench(
     if options.markdown is not None:
         check_document(options.markdown)
     outputs.claim(options.out, "benchmark")
-    trainings = prepare_trainings(options, description, [row for row in rows.values() if row is not None])
+    given = {
+        name for name, row in rows.items() if row is not None and options.policy and row.trained == "mimicik"
+    }
+    trained = [row for name, row in rows.items() if row is not None and name not in given]
+    trainings = prepare_trainings(options, description, trained)
     arm = SerialArm(description, dtype=torch.float64)
     ordeals = make_ordeals(description) if description.home else []
     occasions = _occasions(options, arm)
-    bench = _Bench(options, settings, arm, list(rows), occasions, ordeals, progress, say)
+    checkpoint = load_policy(options.policy, options.device or None) if given else None
+    digests = dict.fromkeys(given, checkpoint.digest()) if checkpoint is not None else {}
+    bench = _Bench(options, settings, arm, rows, digests, occasions, ordeals, progress, say)
     failed = False
     for name, row in rows.items():
-        for seed in range(options.seeds if row is not None else 1):
-            policy: str | None = None
-            if row is not None:
-                training = trainings[name, seed]
+        for seed in range(options.seeds if row is not None and name not in given else 1):
+            policy: LearnedIKPolicy | str | None = checkpoint if name in given else None
+            if row is not None and name not in given:
+                training = trainings[row.trained, seed]
                 try:
                     train_row(training, bench.summary, say)
                 except RuntimeError as error:
@@ -199,8 +211,11 @@ def _checked(options: BenchOptions) -> dict[str, LearnedRow | None]:
                 f"--solvers: unknown {name}; known are {learned_names()}, and {', '.join(others)}."
                 + did_you_mean(name, ["mimicik", "mlp", "unet_diffusion", *others])
             )
-        if row is not None and options.train is None:
-            raise ValueError(f"--solvers names {name}, which is trained here: on which dataset? --train=...")
+        if row is not None and options.train is None and not (options.policy and row.trained == "mimicik"):
+            raise ValueError(
+                f"--solvers names {name}, which is trained here: on which dataset? --train=..."
+                + (", or which checkpoint is it? --policy.path=..." if row.trained == "mimicik" else "")
+            )
     return rows
 
 
@@ -255,23 +270,28 @@ class _Bench:
         options: BenchOptions,
         settings: Mapping[str, Any],
         arm: SerialArm,
-        names: Sequence[str],
+        rows: Mapping[str, LearnedRow | None],
+        digests: Mapping[str, str],
         occasions: Sequence[Occasion],
         ordeals: Sequence[Ordeal],
         progress: bool,
         say: Callable[[str], None],
     ) -> None:
         self._options, self._settings = options, settings
-        self._arm, self._names = arm, names
+        self._arm, self._learned, self._names = arm, rows, list(rows)
+        # Of checkpoints that were given: another one is another row.
+        self._digests = digests
         self._occasions, self._ordeals = occasions, ordeals
         self._progress, self._say = progress, say
         self.summary = Summary(options.out / "summary.json")
         self._plots: dict[str, Plot] = {}
 
-    def measure(self, name: str, seed: int, policy: str | None) -> bool:
+    def measure(self, name: str, seed: int, policy: LearnedIKPolicy | str | None) -> bool:
         """Measure one solver wherever it was not measured before; False if it cannot be had."""
         missing = [
-            each for each in self._occasions if self.summary.find(name, seed, each.place, each.mode) is None
+            each
+            for each in self._occasions
+            if self.summary.find(name, seed, self._place(name, each), each.mode) is None
         ]
         commands = self._commands_file(name)
         undergoes = bool(self._ordeals) and seed == 0 and not commands.is_file()
@@ -280,8 +300,9 @@ class _Bench:
         chosen: dict[str, Any] = {}
         if policy is not None:
             chosen = {"policy": policy, "device": self._options.device or None}
+        row = self._learned[name]
         try:
-            solver = make_solver("mimicik" if policy is not None else name, self._arm, **chosen)
+            solver = make_solver(name if row is None else row.solver, self._arm, **chosen)
         except (RuntimeError, ImportError) as error:
             self.summary.unavailable[name] = str(error)
             self._say(f"{name} is unavailable: {error}")
@@ -298,15 +319,25 @@ class _Bench:
                 self.summary.unavailable[f"{name}, {each.mode}"] = str(error)
                 self._say(f"{name} is unavailable: {error}")
                 continue
-            self.summary.add(evaluation, seed, each.place)
+            self.summary.add(evaluation, seed, self._place(name, each))
         if undergoes:
             save_commands(commands, undergo(solver, self._ordeals))
         return True
 
+    def _place(self, name: str, occasion: Occasion) -> str:
+        digest = self._digests.get(name)
+        return occasion.place if digest is None else f"{occasion.place}, checkpoint {digest[:12]}"
+
+    def _configuration(self, name: str, row: LearnedRow | None) -> str:
+        """What tables say beside a row."""
+        if row is not None and name in self._digests:
+            return f"{solver_configuration(row.solver)} (--policy.path={self._options.policy})"
+        return solver_configuration(name) if row is None else row.configuration(self._options.size)
+
     def _rows(self) -> list[dict[str, Any]]:
         """What was asked for, as far as it is measured, seeds apart."""
         asked = [
-            (self.summary.find(name, seed, each.place, each.mode), each.recording.set.name)
+            (self.summary.find(name, seed, self._place(name, each), each.mode), each.recording.set.name)
             for each in self._occasions
             for name in self._names
             for seed in range(self._options.seeds)
@@ -333,11 +364,7 @@ class _Bench:
         """The table and figures of what was asked for, as far as it is measured."""
         rows = self._rows()
         self.summary.save()
-        learned = {name: LearnedRow.of(name) for name in self._names}
-        configurations = {
-            name: solver_configuration(name) if row is None else row.configuration(self._options.size)
-            for name, row in learned.items()
-        }
+        configurations = {name: self._configuration(name, row) for name, row in self._learned.items()}
         write_table(
             self._options.out,
             rows,
@@ -375,7 +402,8 @@ class _Bench:
             self._save_plots([plot_anatomy(self._ordeals, traces, self._arm.joint_names)])
 
     def _commands_file(self, name: str) -> Path:
-        return self._options.out / "anatomy" / f"{name}.npz"
+        digest = self._digests.get(name, "")
+        return self._options.out / "anatomy" / f"{name}{digest and '-'}{digest[:12]}.npz"
 
     def _save_plots(self, plots: Sequence[Plot | None]) -> None:
         """Figures that can be drawn, as PNG with the caption beside it."""

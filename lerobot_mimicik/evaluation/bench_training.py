@@ -40,7 +40,7 @@ class Training:
 def prepare_trainings(
     options: BenchOptions, description: ArmDescription, rows: Sequence[LearnedRow]
 ) -> dict[tuple[str, int], Training]:
-    """Every training that the benchmark needs, by row and seed.
+    """Every training that the benchmark needs, by what is trained and seed.
 
     Raises:
         ValueError: If a row was trained with other options before.
@@ -53,11 +53,13 @@ def prepare_trainings(
         path = training_process.find_recipe(str(Path(options.recipes) / name) if options.recipes else name)
         recipe = json.loads(path.read_text())
         for seed in range(options.seeds):
+            if (row.trained, seed) in prepared:
+                continue
             training = Training(
-                f"{row.name}-seed{seed}",
+                f"{row.trained}-seed{seed}",
                 options.steps or int(recipe["steps"]),
                 int(recipe.get("log_freq", 200)),
-                out / "train" / f"{row.name}-seed{seed}" / "run",
+                out / "train" / f"{row.trained}-seed{seed}" / "run",
                 [],
             )
             training.arguments.extend(
@@ -75,7 +77,7 @@ def prepare_trainings(
             )
             # Where the recipe lies does not matter, what it says does.
             _keep_arguments(training, {"arguments": training.arguments[1:], "recipe": recipe})
-            prepared[row.name, seed] = training
+            prepared[row.trained, seed] = training
     return prepared
 
 
