@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 
 
-def _canonical(name: str) -> str:
+def canonical_name(name: str) -> str:
     """Column and joint names compare without suffix, case and separators: `joint_1.pos` is `joint1`."""
     return re.sub(r"[^a-z0-9]", "", name.lower().removesuffix(".pos"))
 
@@ -55,8 +55,8 @@ def joint_columns(
         if missing:
             raise ValueError(f"{feature} has no elements {missing}; it has {given or width}")
         return [positions[name] for name in requested]
-    canonical = [_canonical(name) for name in given]
-    wanted = [_canonical(name) for name in joint_names]
+    canonical = [canonical_name(name) for name in given]
+    wanted = [canonical_name(name) for name in joint_names]
     if all(name in canonical for name in wanted):
         return [canonical.index(name) for name in wanted]
     if width < len(joint_names):

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from lerobot_mimicik.kinematics.arms import ArmDescription
     from robot_adapters.adapter import AdapterSettings, MimicIKAdapter
 
 
@@ -33,8 +34,8 @@ class IKOptions:
     # Error of a target that counts as reached [rad].
     rotation_tolerance: float = 0.02
 
-    def load(self, arm: str = "airbot_play") -> MimicIKAdapter:
-        """The adapter, for a shipped arm where a server answers.
+    def load(self, arm: str | ArmDescription = "airbot_play") -> MimicIKAdapter:
+        """The adapter, for an arm; a checkpoint knows its own.
 
         Raises:
             ValueError: with path and address; FileNotFoundError, TypeError: if there is no
@@ -52,7 +53,7 @@ class IKOptions:
         from lerobot_mimicik.kinematics.chain import SerialArm
         from lerobot_mimicik.solvers import make_solver
 
-        description = describe_arm(arm)
+        description = describe_arm(arm) if isinstance(arm, str) else arm
         keys = {"secret_key": self.secret_key, "server_key": self.server_key}
         solver = make_solver(
             "remote", SerialArm(description), address=self.address, solver=self.solver, **keys

@@ -8,4 +8,6 @@ import lerobot_mimicik.baselines.configuration_mlp
 import lerobot_mimicik.baselines.configuration_unet
 import lerobot_mimicik.configuration_mimicik  # noqa: F401
 import robot_adapters.robots.config_airbot_play
+import robot_adapters.robots.config_mimicik_ee
+import robot_adapters.robots.config_mimicik_sim
 import robot_adapters.robots.config_recorded_motion  # noqa: F401

@@ -10,6 +10,8 @@ _HOMES = {
     "AirbotPlayEE": "airbot_play",
     "BiAirbotPlay": "bi_airbot_play",
     "BiAirbotPlayEE": "bi_airbot_play",
+    "MimicIKEE": "mimicik_ee",
+    "MimicIKSim": "mimicik_sim",
     "RecordedMotion": "recorded_motion",
 }
 

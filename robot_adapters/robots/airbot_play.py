@@ -17,12 +17,13 @@ from lerobot.robots.robot import Robot
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 from numpy.typing import NDArray
 
-from lerobot_mimicik.kinematics.poses import IDENTITY, PolicyFrames, PoseFormat
-from robot_adapters.adapter import IKResult, IKStatus, MimicIKAdapter
+from lerobot_mimicik.kinematics.poses import PoseFormat
+from robot_adapters.adapter import IKResult, MimicIKAdapter
 from robot_adapters.airbot.arm import AirbotArm, CommandResult
 from robot_adapters.airbot.gripper import MAX_OPENING
 from robot_adapters.clock import PatientClock, RealClock
 from robot_adapters.robots.config_airbot_play import AirbotConnection, AirbotPlayConfig, AirbotPlayEEConfig
+from robot_adapters.robots.end_effector import EndEffectorFace, PoseKeys
 from robot_adapters.safety import ArmStopped, CommandStatus
 
 _log = logging.getLogger(__name__)
@@ -201,11 +202,7 @@ class AirbotPlay(Robot):
 
 
 class AirbotPlayEE(AirbotPlay):
-    """One arm in end-effector space: MimicIK turns the poses that it is sent into joints.
-
-    Attributes:
-        ik_result: what became of the last pose.
-    """
+    """One arm in end-effector space: MimicIK turns the poses that it is sent into joints."""
 
     config_class = AirbotPlayEEConfig
     name = "airbot_play_ee"
@@ -213,27 +210,28 @@ class AirbotPlayEE(AirbotPlay):
     def __init__(self, config: AirbotPlayEEConfig) -> None:
         super().__init__(config)
         self.config: AirbotPlayEEConfig = config
-        tool = config.tool or tuple(IDENTITY)
-        self.frames = PolicyFrames(form=PoseFormat(config.rotation), tool=tool)
-        self.ik_result: IKResult | None = None
-        self._upcoming: list[NDArray[np.float64]] = []
-        self._adapter: MimicIKAdapter | None = None
+        keys = PoseKeys(PoseFormat(config.rotation), gripper=config.gripper)
+        self.face = EndEffectorFace(config.ik.load, keys, config.tool, self.warn)
+        self.face.gripper_range = (0.0, MAX_OPENING)
 
     @property
     def pose_keys(self) -> list[str]:
         """Keys of the pose."""
-        return [f"ee.{name}.pos" for name in self.frames.form.names]
+        return self.face.keys.pose
 
     @property
     def _motors_ft(self) -> dict[str, type]:
-        return dict.fromkeys([*self.pose_keys, *([f"ee.{GRIPPER}"] if self.config.gripper else [])], float)
+        return dict.fromkeys(self.face.keys.all, float)
 
     @property
     def adapter(self) -> MimicIKAdapter:
         """The inverse kinematics, loaded at first use. Raises what `IKOptions.load` raises."""
-        if self._adapter is None:
-            self._adapter = self.config.ik.load()
-        return self._adapter
+        return self.face.adapter
+
+    @property
+    def ik_result(self) -> IKResult | None:
+        """What became of the last pose; None before."""
+        return self.face.result
 
     def connect(self, calibrate: bool = True) -> None:
         """Load the checkpoint, then connect as in joint space.
@@ -245,7 +243,7 @@ class AirbotPlayEE(AirbotPlay):
         if mine != theirs:
             source = self.config.ik.path or self.config.ik.address
             raise ValueError(f"{source} drives joints {theirs}, this robot has {mine}")
-        self.adapter.reset()
+        self.face.reset()
         super().connect(calibrate)
 
     @check_if_not_connected
@@ -253,7 +251,7 @@ class AirbotPlayEE(AirbotPlay):
         """The measured pose `T_base_tool`, the gripper's opening [m], and images."""
         self._let_time_pass()
         state = self.arm.read()
-        return {**self._poses(state.q, state.gripper), **self._images()}
+        return {**self.face.observed(state.q, self._opening(state.gripper)), **self._images()}
 
     def foresee(self, actions: Sequence[RobotAction]) -> None:
         """Say which poses follow the one that `send_action` is called with next, one a frame; it holds for that call.
@@ -263,7 +261,7 @@ class AirbotPlayEE(AirbotPlay):
         Raises:
             KeyError: a number is missing.
         """
-        self._upcoming = [self._pose_numbers(action) for action in actions]
+        self.face.foresee(actions)
 
     @check_if_not_connected
     def send_action(self, action: RobotAction) -> RobotAction:
@@ -274,35 +272,12 @@ class AirbotPlayEE(AirbotPlay):
             ArmStoppedError: the arm has stopped.
         """
         self._let_time_pass()
-        numbers, following = self._pose_numbers(action), self._upcoming
-        self._upcoming = []
-        opening = self._number(action, f"ee.{GRIPPER}") if self.config.gripper else None
-        measured = self.arm.read().q
-        pose = self.adapter.forward(measured)
-        target, *upcoming = (self._target(each, pose) for each in [numbers, *following])
-        self.ik_result = result = self.adapter.solve(measured, target, upcoming)
-        if result.status in (IKStatus.UNREACHABLE, IKStatus.FAILED):
-            self.warn(result.status, f"{result.status}: {result.message}")
-        sent = self.command(result.q, opening)
-        self.adapter.commanded(sent.q_sent)
-        return self._poses(sent.q_sent, opening)
+        state = self.arm.read()
+        q, opening = self.face.solve(action, state.q, self._opening(state.gripper))
+        return self.face.sent(self.command(q, opening).q_sent, opening)
 
-    def _pose_numbers(self, action: RobotAction) -> NDArray[np.float64]:
-        return np.array([self._number(action, key) for key in self.pose_keys])
-
-    def _target(self, numbers: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        try:
-            return self.frames.from_policy(numbers, pose)
-        except ValueError as error:
-            self.warn("pose", str(error))
-            return np.full(7, np.nan)
-
-    def _poses(self, q: NDArray[np.float64], opening: float | None) -> dict[str, float]:
-        numbers = self.frames.to_policy(self.adapter.forward(q))
-        poses = dict(zip(self.pose_keys, numbers.tolist(), strict=True))
-        if self.config.gripper:
-            poses[f"ee.{GRIPPER}"] = _opening(opening)
-        return poses
+    def _opening(self, opening: float | None) -> float | None:
+        return _opening(opening) if self.config.gripper else None
 
 
 def _opening(opening: float | None) -> float:

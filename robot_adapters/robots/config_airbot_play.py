@@ -70,7 +70,7 @@ class AirbotPlayEEConfig(AirbotPlayConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_end_effector(self.ik, self.rotation, self.tool)
+        check_end_effector(self.ik, self.rotation, self.tool)
 
 
 @dataclass
@@ -100,10 +100,11 @@ class BiAirbotPlayEEConfig(BiAirbotPlayConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_end_effector(self.ik, self.rotation, self.tool)
+        check_end_effector(self.ik, self.rotation, self.tool)
 
 
-def _check_end_effector(ik: IKOptions, rotation: str, tool: list[float]) -> None:
+def check_end_effector(ik: IKOptions, rotation: str, tool: list[float]) -> None:
+    """Refuse options of an end effector that cannot be; ValueError, DecodingError where LeRobot parses."""
     with reasons_for_users():
         ik.settings()
         try:
