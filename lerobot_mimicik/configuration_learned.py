@@ -50,7 +50,7 @@ class LearnedIKConfig(PreTrainedConfig):
     )
 
     # --- The arm. ---
-    # A shipped arm's name (airbot_play, piper), a path to a URDF, or the URDF itself; stored as text. Empty: the
+    # A shipped arm's name (`mimicik arms`), a path to a URDF, or the URDF itself; stored as text. Empty: the
     # arm that the training dataset names in its meta/arm.json, airbot_play where it names none.
     urdf: str = ""
     base_link: str | None = None

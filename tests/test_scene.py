@@ -30,7 +30,10 @@ def test_places_are_reached_by_their_joints_and_free(scene, seed):
 
 
 def test_every_kind_of_singularity_is_known_and_free(scene):
-    assert tuple(scene.singular) == KINDS
+    # Arms of other kinds lack some: a wrist of two joints has no singularity of its own.
+    assert set(scene.singular) <= set(KINDS)
+    if scene.description.urdf.count("airbot_play") or scene.description.urdf.count("piper_sdk"):
+        assert tuple(scene.singular) == KINDS
     for kind, q in scene.singular.items():
         assert len(q) >= 10
         assert scene.gauge(q)[kind].max() < 0.02

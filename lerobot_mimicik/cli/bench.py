@@ -29,7 +29,7 @@ class BenchConfig:
     train: str = ""
     # --policy.path: a checkpoint for the rows mimicik and mimicik_guided, which are else trained on --train.
     policy: PolicySource = field(default_factory=PolicySource)
-    # The datasets' arm where they do not say: a shipped one (airbot_play, piper) or the path of a URDF.
+    # The datasets' arm where they do not say: a shipped one (see `mimicik arms`) or the path of a URDF.
     arm: str = ""
     # rad or deg: the datasets' joints.
     joint_units: str = "rad"

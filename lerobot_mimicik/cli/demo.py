@@ -39,7 +39,7 @@ class DemoConfig:
     source: str = "synthetic"
     # source=ee: file, folder or LeRobot dataset with end-effector motion (see mimicik make-dataset --help).
     input: str = ""
-    # A shipped arm (airbot_play, piper) or the path of a URDF.
+    # A shipped arm (`mimicik arms` lists them) or the path of a URDF.
     robot: str = "airbot_play"
     # Comfortable configuration to begin from, in the joints' order [rad, m], comma-separated; empty: the arm's own,
     # else one that is found.

@@ -36,7 +36,7 @@ _SYNTHETIC_TEST_SHARE = 0.15
 class RobotOptions:
     """The arm."""
 
-    # A shipped arm (airbot_play, piper) or the path of a URDF.
+    # A shipped arm (`mimicik arms` lists them) or the path of a URDF.
     name: str = "airbot_play"
     # Link whose frame poses are given in; empty: the arm's own, else the URDF's root.
     base_link: str = ""

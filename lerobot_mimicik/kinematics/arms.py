@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from lerobot_mimicik.kinematics.names import did_you_mean, listed
+from lerobot_mimicik.kinematics.shipped import SHIPPED
 from lerobot_mimicik.kinematics.urdf import Joint, Urdf, UrdfError, is_urdf_text, read_urdf
 
 
@@ -114,20 +114,7 @@ def arm_of_dataset(root: str | Path) -> ArmDescription | None:
     return description
 
 
-_SHIPPED: dict[str, dict[str, Any]] = {
-    # Wrist bent by 1 rad, elbow near a right angle, tool half a metre ahead and level.
-    "airbot_play": {
-        "base_link": "base_link",
-        "tip_link": "end_link",
-        "home": (0.0, -1.2, 1.3, 1.5708, -0.9, -1.5708),
-    },
-    "piper": {
-        "base_link": "base_link",
-        "tip_link": "link6",
-        "home": (0.0, 1.3, -1.2, 0.0, 0.8, 0.0),
-    },
-}
-SHIPPED_ARMS: tuple[str, ...] = tuple(_SHIPPED)
+SHIPPED_ARMS: tuple[str, ...] = tuple(SHIPPED)
 """Names that `describe_arm` knows."""
 
 
@@ -151,17 +138,17 @@ def describe_arm(
         UrdfError: an arm, file, link or joint that does not exist (the message lists those that do), or a
             chain that is no serial arm. It is a ValueError.
     """
-    shipped = _SHIPPED.get(str(name_or_path), {})
+    shipped = SHIPPED.get(str(name_or_path))
     urdf = _shipped_urdf(str(name_or_path)) if shipped else _any_urdf(name_or_path)
-    base = base_link or shipped.get("base_link") or urdf.root
-    tip = tip_link or shipped.get("tip_link")
+    base = base_link or (shipped.base_link if shipped else urdf.root)
+    tip = tip_link or (shipped.tip_link if shipped else None)
     path = urdf.serial_chain(base, tip)
     movable = tuple(joint.name for joint in path if joint.movable)
     names = movable if joint_names is None else tuple(joint_names)
     _check_joint_names(names, path, base, path[-1].child)
     home: tuple[float, ...] = ()
-    if shipped and (base, path[-1].child) == (shipped["base_link"], shipped["tip_link"]):
-        home = tuple(shipped["home"][movable.index(name)] for name in names)
+    if shipped and (base, path[-1].child) == (shipped.base_link, shipped.tip_link):
+        home = tuple(shipped.home[movable.index(name)] for name in names)
     return ArmDescription(urdf.text, base, path[-1].child, names, tuple(tool_offset or ()), home)
 
 
