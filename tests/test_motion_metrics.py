@@ -13,6 +13,7 @@ from lerobot_mimicik.evaluation.motion_metrics import (
     collision_depth_mm,
     frozen_frames,
     release_steps,
+    return_frames,
     summarise_motion,
 )
 from lerobot_mimicik.evaluation.rollouts import Rollout
@@ -99,6 +100,15 @@ def test_the_release_step_is_the_largest_within_half_a_second_of_the_return():
     q[back + 12 :, 1] += 0.3  # too late to belong to the return
     assert release_steps(trace_of(motion, q), FPS) == pytest.approx([0.07])
     assert summarise_motion([trace_of(trajectory(30))], FPS)["release_step"] is None
+
+
+def test_the_way_back_ends_where_a_command_is_within_a_millimetre_of_the_target():
+    motion, back = out_and_back()
+    q = held(motion)
+    q[back : back + 6, 1] += 0.07  # centimetres off, for six frames
+    assert return_frames(trace_of(motion, q)) == pytest.approx([6])
+    assert return_frames(trace_of(motion, held(motion))) == pytest.approx([0])
+    assert summarise_motion([trace_of(trajectory(30))], FPS)["return_frames"] is None
 
 
 def test_self_collision_is_as_deep_as_the_spheres_and_absent_without_shapes():

@@ -4,6 +4,7 @@
 - *frozen*: percent of all frames in which no commanded joint moved by more than `STILL_RAD` while a target in
   reach moved by more than `MOVED_MM` or `MOVED_DEG`.
 - *release step*: largest joint step within `RELEASE_S` of a target's return into reach, rad.
+- *return*: most frames from a target's return into reach until the command is within `BACK_MM` of it.
 - *lag*: the shift, ms, at which the velocity of the commanded tool matches that of the clean target best, by
   normalised cross-correlation within `LAG_FRAMES` frames, over all recordings; a parabola finds parts of a frame.
 - *clean error*: as the position error, against the target without what a stress set added to it.
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,11 +29,12 @@ from lerobot_mimicik.solvers.base import Array
 STILL_RAD = 1e-6  # rounding
 MOVED_MM, MOVED_DEG = 0.1, 0.05  # per frame: more than the noise of a pose in float32
 RELEASE_S = 0.5
+BACK_MM = 1.0
 LAG_FRAMES = 10
 RESAMPLES = 1000
 
 MOTION_KEYS = (
-    "jerk_rms", "frozen", "release_step", "lag_ms", "clean_mean_mm", "clean_p95_mm", "clean_max_mm",
+    "jerk_rms", "frozen", "release_step", "return_frames", "lag_ms", "clean_mean_mm", "clean_p95_mm", "clean_max_mm",
     "unavoidable_mm", "excess_percent",
 )  # fmt: skip
 
@@ -45,6 +48,7 @@ def summarise_motion(traces: Sequence[Trace], fps: float) -> dict[str, float | N
         "jerk_rms": _root_mean([_jerk_squares(trace, fps) for trace in traces]),
         "frozen": 100.0 * float(np.concatenate([frozen_frames(trace) for trace in traces]).mean()),
         "release_step": _largest([release_steps(trace, fps) for trace in traces]),
+        "return_frames": _largest([return_frames(trace) for trace in traces]),
         "lag_ms": lag_ms(traces, fps),
         "clean_mean_mm": float(errors.mean()) if errors.size else None,
         "clean_p95_mm": float(np.percentile(errors, 95)) if errors.size else None,
@@ -76,6 +80,21 @@ def release_steps(trace: Trace, fps: float) -> Array:
     returns = np.flatnonzero(inside[1:] & ~inside[:-1]) + 1
     window = round(RELEASE_S * fps)
     return np.array([trace.max_dq[frame : frame + window].max() for frame in returns])
+
+
+def return_frames(trace: Trace) -> Array:
+    """Frames from each return of the target into reach until a command meets it to `BACK_MM`, (n,).
+
+    0: the first command does. Where none does before the target leaves again, all frames that it was in reach count.
+    """
+    inside = trace.in_reach
+    edges = [*(np.flatnonzero(inside[1:] != inside[:-1]) + 1), len(inside)]
+    frames = []
+    for begin, end in pairwise(edges):
+        if inside[begin]:
+            met = np.flatnonzero(trace.position_mm[begin:end] <= BACK_MM)
+            frames.append(met[0] if met.size else end - begin)
+    return np.array(frames, dtype=float)
 
 
 def lag_ms(traces: Sequence[Trace], fps: float) -> float | None:

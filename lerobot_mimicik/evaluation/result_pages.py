@@ -18,7 +18,7 @@ from lerobot_mimicik.evaluation.plots import (
     plot_passage,
 )
 from lerobot_mimicik.evaluation.report import machine
-from lerobot_mimicik.evaluation.short_table import failed, legend, markdown
+from lerobot_mimicik.evaluation.short_table import failed, legend, markdown, stress_legend, stress_markdown
 from lerobot_mimicik.evaluation.tradeoff_plots import plot_failures, plot_tradeoff
 from lerobot_mimicik.evaluation.words import (
     describe_rows,
@@ -124,6 +124,7 @@ def results_markdown(rows: Rows, unavailable: Mapping[str, str], notes: Sequence
     host = machine()
     ahead = where_peers_are_ahead(rows)
     failures = failures_markdown(rows)
+    felt = stress_markdown(rows)
     lines = [
         DOCUMENT_MARK,
         "# Results",
@@ -136,6 +137,7 @@ def results_markdown(rows: Rows, unavailable: Mapping[str, str], notes: Sequence
         markdown(rows),
         f"{legend()}",
         "",
+        *(["## Stress sets", "", felt, stress_legend(), ""] if felt else []),
         *(["## Failures by kind", "", failures] if failures else []),
         "## Data and machine",
         "",

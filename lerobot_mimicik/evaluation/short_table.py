@@ -27,6 +27,19 @@ COLUMNS = (
     ("latency_ms_median", "p50 ms", "median duration of one query", ".2f"),
     ("latency_ms_p99", "p99 ms", "99th percentile of the duration of one query", ".2f"),
 )
+# What stress sets add, where they have it: (key, heading with its unit, what it means, format).
+STRESS = (
+    (
+        "release_step",
+        "release rad",
+        "largest joint step within 0.5 s of the target's return into reach",
+        ".3f",
+    ),
+    ("return_frames", "back frames", "most frames from that return until the command is within 1 mm", ".0f"),
+    ("excess_percent", "excess %", "pose error out of reach, over the unavoidable one", ".1f"),
+    ("lag_ms", "lag ms", "how far the tool is behind the clean target", ".1f"),
+    ("depth_mm", "depth mm", "deepest self-collision by the shapes' spheres", ".1f"),
+)
 FAILED = ("failed", "recordings with a verdict other than Bounded, of all")
 _MODES = {"open_loop": "open loop", "closed_loop": "closed loop"}
 _LONGEST_NAME = 22
@@ -109,6 +122,31 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
         lines += ["| " + " | ".join([str(row["solver"]), *cells(row)]) + " |" for row in members]
         lines.append("")
     return "\n".join(lines)
+
+
+def stress_markdown(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What stress sets add to the table, a table for each; empty without any, and without columns that none has."""
+    lines: list[str] = []
+    for title, members in groups(rows):
+        if not any(row.get(key) is not None for row in members for key in ("clean_mean_mm", "release_step")):
+            continue
+        columns = [each for each in STRESS if any(row.get(each[0]) is not None for row in members)]
+        lines += [
+            f"**{title}**",
+            "",
+            "| solver | " + " | ".join(heading for _, heading, *_ in columns) + " |",
+            "|---" + "|---:" * len(columns) + "|",
+        ]
+        for row in members:
+            found = ["-" if row.get(key) is None else _shortened(row[key], form) for key, *_, form in columns]
+            lines.append("| " + " | ".join([str(row["solver"]), *found]) + " |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def stress_legend() -> str:
+    """What the columns of `stress_markdown` mean."""
+    return "; ".join(f"{heading}: {why}" for _, heading, why, _ in STRESS) + "."
 
 
 def _shortened(value: float, form: str) -> str:
