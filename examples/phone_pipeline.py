@@ -1,7 +1,8 @@
-"""LeRobot's phone teleoperation with MimicIK in place of its inverse kinematics: `MimicIKEEToJoints`.
+"""LeRobot's phone teleoperation with MimicIK in place of its inverse kinematics: one import is another.
 
 The steps are those of LeRobot's example `phone_to_so100`, for an arm with joints in degrees; a list of poses takes the
-place of the phone. Run it with `uv run python examples/phone_pipeline.py`.
+place of the phone. LeRobot's own `InverseKinematicsEEToJoints` runs with these kinematics as well; `MimicIKEEToJoints`
+besides bounds each step and says what became of the pose. Run it with `uv run python examples/phone_pipeline.py`.
 """
 
 from __future__ import annotations
@@ -18,34 +19,19 @@ from lerobot.teleoperators.phone.config_phone import PhoneOS
 from lerobot.teleoperators.phone.phone_processor import MapPhoneActionToRobotAction
 from lerobot.utils.rotation import Rotation
 
-from robot_adapters.adapter import IKStatus, MimicIKAdapter
+from robot_adapters.adapter import IKStatus
+from robot_adapters.kinematics import MimicIKKinematics
 from robot_adapters.processor_steps import MimicIKEEToJoints
 
 
-class ForwardKinematics:
-    """What LeRobot's steps ask of a kinematic model: a 4x4 pose of joints in degrees, the gripper's left out."""
-
-    def __init__(self, adapter: MimicIKAdapter) -> None:
-        self.chain = adapter.chain
-
-    def forward_kinematics(self, joints_deg: np.ndarray) -> np.ndarray:
-        """`T_base_tool` (4, 4)."""
-        rotation, position, _ = self.chain.rotation_position_jacobian(
-            np.deg2rad(joints_deg[: self.chain.dof])
-        )
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = rotation, position
-        return pose
-
-
-def make_pipeline(adapter: MimicIKAdapter) -> RobotProcessorPipeline:
+def make_pipeline(kinematics: MimicIKKinematics) -> RobotProcessorPipeline:
     """From a phone's pose and the robot's observation to the robot's action."""
-    motors = [*adapter.joint_names, "gripper"]
+    motors = [*kinematics.joint_names, "gripper"]
     return RobotProcessorPipeline(
         steps=[
             MapPhoneActionToRobotAction(platform=PhoneOS.IOS),
             EEReferenceAndDelta(
-                kinematics=ForwardKinematics(adapter),
+                kinematics=kinematics,
                 end_effector_step_sizes={"x": 0.5, "y": 0.5, "z": 0.5},
                 motor_names=motors,
             ),
@@ -53,7 +39,7 @@ def make_pipeline(adapter: MimicIKAdapter) -> RobotProcessorPipeline:
                 end_effector_bounds={"min": [-1.0, -1.0, -1.0], "max": [1.0, 1.0, 1.0]}, max_ee_step_m=0.10
             ),
             GripperVelocityToJoint(speed_factor=0.02, clip_max=0.07),
-            MimicIKEEToJoints(adapter, motors, joint_units="deg"),  # was InverseKinematicsEEToJoints
+            MimicIKEEToJoints(kinematics=kinematics, motor_names=motors),  # was InverseKinematicsEEToJoints
         ],
         to_transition=robot_action_observation_to_transition,
         to_output=transition_to_robot_action,
@@ -62,11 +48,13 @@ def make_pipeline(adapter: MimicIKAdapter) -> RobotProcessorPipeline:
 
 def main(frames: int = 20) -> list[IKStatus]:
     """Move the phone 10 cm up; what became of each pose."""
-    adapter = MimicIKAdapter.for_arm("airbot_play")
-    pipeline = make_pipeline(adapter)
+    kinematics = MimicIKKinematics(
+        "airbot_play"
+    )  # was RobotKinematics(urdf_path, target_frame_name, joint_names)
+    pipeline = make_pipeline(kinematics)
     step = pipeline.steps[-1]
-    names = adapter.joint_names
-    joints = {f"{name}.pos": q for name, q in zip(names, np.degrees(adapter.description.home), strict=True)}
+    home = np.degrees(kinematics.description.home)
+    joints = {f"{name}.pos": q for name, q in zip(kinematics.joint_names, home, strict=True)}
     observation = {**joints, "gripper.pos": 0.03}
     statuses = []
     for height in np.linspace(0.0, 0.1, frames):

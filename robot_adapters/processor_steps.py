@@ -30,6 +30,7 @@ from lerobot_mimicik.kinematics.plausibility import check_plausible
 from lerobot_mimicik.kinematics.poses import IDENTITY, PolicyFrames, PoseFormat
 from lerobot_mimicik.weights import load_tensors
 from robot_adapters.adapter import AdapterSettings, IKResult, MimicIKAdapter
+from robot_adapters.kinematics import MimicIKKinematics
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 _POSE = ("x", "y", "z", "wx", "wy", "wz")
@@ -41,34 +42,41 @@ _LONGEST_TURN = 4 * np.pi
 class MimicIKEEToJoints(RobotActionProcessorStep):
     """`ee.x .. ee.wz` (position in m, rotation vector in rad) and `ee.gripper_pos` to `<joint>.pos`.
 
-    The contract of `InverseKinematicsEEToJoints`, but: joints are taken by name, in any order; the gripper may
-    have any name, or be absent; joints are in radians or degrees; and `result` says what became of the pose.
+    The contract of `InverseKinematicsEEToJoints`, and its keywords, but: joints are taken by name, in any order; the
+    gripper may have any name, or be absent; joints are in radians or degrees; and `result` says what became of the pose.
 
     Attributes:
-        adapter: the arm's inverse kinematics; LeRobot's keyword `kinematics` names it too.
+        adapter: the arm's inverse kinematics.
         motor_names: the robot's motors, in its order; those that are not the arm's joints pass through (one
             gripper at most).
-        joint_units: `rad` or `deg`, of the robot; it has no default.
-        kinematics: the same as `adapter`.
+        joint_units: `rad` or `deg`, of the robot; it has no default but with `MimicIKKinematics`, which counts in
+            degrees.
+        kinematics: in place of `adapter`: the same, or the arm's `MimicIKKinematics`.
         initial_guess_current_joints: LeRobot's keyword for the joints that a step starts from: True sets the
             adapter's `reference` to `measured`, False to `commanded`; None leaves it.
+        orientation_weight: LeRobot's keyword; 0 leaves the orientation free, with `MimicIKKinematics` alone.
         result: what became of the last pose; None before.
     """
 
     adapter: MimicIKAdapter = None  # type: ignore[assignment]
     motor_names: list[str] = field(default_factory=list)
     joint_units: str = ""
-    kinematics: MimicIKAdapter | None = None
+    kinematics: MimicIKAdapter | MimicIKKinematics | None = None
     initial_guess_current_joints: bool | None = None
+    orientation_weight: float = 0.01
     result: IKResult | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
+        if isinstance(self.kinematics, MimicIKKinematics):
+            self.kinematics = self.kinematics.make_adapter(self.orientation_weight)
+            self.joint_units = self.joint_units or "deg"
         given = [each for each in (self.adapter, self.kinematics) if each is not None]
         if len(given) != 1 or not isinstance(given[0], MimicIKAdapter):
             found = " and ".join(type(each).__name__ for each in given) or "none"
             raise TypeError(
                 f"expected one MimicIKAdapter as adapter (or kinematics), got {found}; "
-                "MimicIKAdapter.from_pretrained(checkpoint) makes one, and placo is not needed"
+                "MimicIKAdapter.from_pretrained(checkpoint) or MimicIKAdapter.for_arm(arm) makes one, "
+                "robot_adapters.kinematics.MimicIKKinematics(urdf) does as well, and placo is not needed"
             )
         self.adapter = self.kinematics = given[0]
         if self.initial_guess_current_joints is not None:
