@@ -7,10 +7,13 @@ import draccus
 import lerobot_policy_mimicik  # noqa: F401 - registers the robots, as LeRobot's commands do
 import numpy as np
 import pytest
+from lerobot.robots.bi_openarm_follower import BiOpenArmFollowerConfig
 from lerobot.robots.config import RobotConfig
+from lerobot.robots.openarm_follower import OpenArmFollowerConfig, OpenArmFollowerConfigBase
 from lerobot.robots.so_follower import SO101FollowerConfig
 from lerobot.robots.utils import make_robot_from_config
 
+from lerobot_mimicik.kinematics.arms import describe_arm
 from robot_adapters.adapter import IKStatus
 from robot_adapters.robots.config_airbot_play import AirbotConnection, BiAirbotPlayConfig
 from robot_adapters.robots.config_mimicik_ee import JointRobot, MimicIKEEConfig
@@ -72,6 +75,7 @@ def test_lerobots_commands_and_json_take_any_robot_inside(command, others):
     inner = ["--robot.arm.type=so101_follower", "--robot.arm.port=/dev/tty1"]
     parsed = draccus.parse(config, args=[*face, *inner, *others]).robot
     assert isinstance(parsed.arm, SO101FollowerConfig)
+    assert parsed.arm.type == "so101_follower"
     assert (parsed.arm.port, parsed.ik.max_step) == ("/dev/tty1", 0.05)
     encoded = json.loads(json.dumps(draccus.encode(parsed, RobotConfig)))
     assert draccus.decode(RobotConfig, encoded) == parsed
@@ -243,6 +247,36 @@ def test_a_robot_of_lerobot_says_its_joints_and_units(tmp_path):
     (tmp_path / "so.json").write_text(json.dumps({name: entry | {"id": i} for i, name in enumerate(names)}))
     normalised = arm(use_degrees=False)
     np.testing.assert_allclose(normalised.units.to_rad([100.0] * 5), np.pi / 2, rtol=1e-3)
+
+
+@pytest.mark.parametrize("chosen", ["so100_follower", "so101_follower"])
+def test_the_shipped_arm_of_a_robot_type(tmp_path, chosen):
+    config = draccus.decode(
+        RobotConfig,
+        {
+            "type": "mimicik_ee",
+            "arm": {"type": chosen, "port": "/dev/none", "calibration_dir": str(tmp_path)},
+        },
+    )
+    robot = make_robot_from_config(config)
+    (arm, _) = robot.sides[""]
+    assert arm.description == describe_arm(chosen.removesuffix("_follower"))
+    with pytest.raises(ValueError, match="so100 or so101"):
+        make_robot_from_config(MimicIKEEConfig(arm=SO101FollowerConfig(port="/dev/none")))
+
+
+def test_both_sides_of_a_pair_are_their_own_arms(tmp_path):
+    sides = {side: OpenArmFollowerConfigBase(port="can0", side=side) for side in ("left", "right")}
+    inner = BiOpenArmFollowerConfig(
+        left_arm_config=sides["left"], right_arm_config=sides["right"], calibration_dir=tmp_path
+    )
+    robot = make_robot_from_config(MimicIKEEConfig(arm=inner, calibration_dir=tmp_path))
+    for side, (arm, _) in robot.sides.items():
+        assert arm.description == describe_arm(f"openarm_{side}".removesuffix("_"))
+        assert arm.units.unit == "deg"
+    single = OpenArmFollowerConfig(port="can0", side="left", calibration_dir=tmp_path)
+    robot = make_robot_from_config(MimicIKEEConfig(arm=single, calibration_dir=tmp_path))
+    assert robot.sides[""][0].description == describe_arm("openarm_left")
 
 
 def test_what_nobody_says_is_asked_for(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -35,17 +36,31 @@ class JointRobot:
     @classmethod
     def get_choice_class(cls, name: str) -> Any:
         """The configuration of a type; KeyError for one that does not exist or is in end-effector space."""
-        return cls.get_known_choices()[name]
+        config = cls.get_known_choices()[name]
+        return config if len(types_of(config)) == 1 else _of_type(config, name)
 
     @classmethod
     def get_choice_name(cls, subcls: type) -> str:
         """The type of a configuration; ValueError for what is none."""
-        return RobotConfig.get_choice_name(subcls)
+        registry: Any = subcls if issubclass(subcls, RobotConfig) else RobotConfig
+        return registry.get_choice_name(subcls)
 
     @classmethod
     def default_choice_name(cls) -> str | None:
         """None: it must be said which."""
         return None
+
+
+def types_of(config: type) -> list[str]:
+    """All types that a configuration is registered under: LeRobot's SO-100 and SO-101 are one class."""
+    return [name for name, each in RobotConfig.get_known_choices().items() if each is config]
+
+
+@functools.cache
+def _of_type(config: type, name: str) -> type:
+    """The same configuration, that remembers which of its types was asked for."""
+    body = {"get_choice_name": classmethod(lambda cls, subcls: name), "__module__": config.__module__}
+    return type(config.__name__, (config,), body)
 
 
 @RobotConfig.register_subclass("mimicik_ee")

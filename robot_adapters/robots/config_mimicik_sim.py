@@ -17,7 +17,7 @@ class MimicIKSimConfig(RobotConfig):
     """A shipped arm or a URDF on simulated servos, in joint space: NAME.pos of each joint, gripper.pos (0 to 100)."""
 
     # A shipped arm's name (mimicik arms lists them), or the path of a URDF.
-    arm: str = "airbot_play"
+    arm: str = "so101"
     # Where the chain of the URDF begins and ends; empty: the shipped arm's, else its root and only leaf.
     base_link: str = ""
     tip_link: str = ""

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from lerobot_mimicik.columns import canonical_name
 from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, ArmDescription, describe_arm
+from lerobot_mimicik.kinematics.shipped import arm_of_robot_type
+from robot_adapters.robots.config_mimicik_ee import types_of
 from robot_adapters.robots.joint_offsets import offsets_file, read_offsets
 from robot_adapters.robots.units import JointUnits
 
@@ -64,7 +66,7 @@ class InnerArm:
             for key in robot.action_features
             if key.startswith(prefix) and key.endswith(".pos")
         ]
-        self.description = _describe(self.part, self.robot_type, arm)
+        self.description = _describe(robot, self.part, self.robot_type, prefix, arm)
         found = _match(names, self.description.joint_names, joints, self.robot_type)
         self.joint_keys = [f"{prefix}{name}.pos" for name in found]
         self._names = found
@@ -124,26 +126,27 @@ def sides_of(robot: Robot) -> tuple[str, ...]:
     return SIDES if both else ("",)
 
 
-def _describe(part: Any, robot_type: str, arm: str) -> ArmDescription:
+def _describe(robot: Robot, part: Any, robot_type: str, prefix: str, arm: str) -> ArmDescription:
     if arm:
         return describe_arm(arm)
     known = getattr(part, "description", None)
     if isinstance(known, ArmDescription):
         return known
-    name = arm_of_robot_type(robot_type)
+    names = types_of(type(robot.config)) if hasattr(robot, "config") else []
+    if len(names) > 1 and robot_type in names:
+        names = [name for name in names if arm_of_robot_type(name)]
+        raise ValueError(
+            f"{type(robot.config).__name__} is {' and '.join(names)}: arm_description="
+            f"{' or '.join(str(arm_of_robot_type(name)) for name in names)} says which arm it is"
+        )
+    side = prefix.removesuffix("_") or getattr(getattr(part, "config", None), "side", None)
+    name = arm_of_robot_type(robot_type, side)
     if name is None:
         raise ValueError(
             f"which arm is {robot_type!r}? --robot.arm_description=URDF says it, or the name of a shipped arm "
             f"({', '.join(SHIPPED_ARMS)})"
         )
     return describe_arm(name)
-
-
-def arm_of_robot_type(robot_type: str) -> str | None:
-    """The shipped arm that a type of LeRobot robots is; None for others."""
-    name = robot_type.removeprefix("bi_").removesuffix("_follower")
-    found = [arm for arm in SHIPPED_ARMS if canonical_name(name).startswith(canonical_name(arm))]
-    return max(found, key=len) if found else None
 
 
 def _match(names: Sequence[str], wanted: Sequence[str], given: Sequence[str], robot_type: str) -> list[str]:
