@@ -129,14 +129,14 @@ class Doctor:
 
         register_third_party_plugins()
         known = [*PreTrainedConfig.get_known_choices(), *RobotConfig.get_known_choices()]
-        missing = [name for name in ("mimicik", "airbot_play", "airbot_play_ee") if name not in known]
+        missing = [name for name in ("mimicik", "airbot_play_can", "airbot_play_can_ee") if name not in known]
         if missing:
             raise CheckFailed(
                 f"LeRobot does not know {', '.join(missing)}",
                 'install it beside LeRobot (uv pip install -e .); python -c "import lerobot_policy_mimicik" says '
                 "what is wrong",
             )
-        return "LeRobot knows the policy mimicik and the robots airbot_play, airbot_play_ee"
+        return "LeRobot knows the policy mimicik and the robots airbot_play_can, airbot_play_can_ee"
 
     def _urdf(self) -> str:
         joints = self._description.joints()

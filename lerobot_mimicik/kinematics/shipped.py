@@ -44,7 +44,7 @@ _ARMS = (
         # Wrist bent by 1 rad, elbow near a right angle, tool half a metre ahead and level.
         home=(0.0, -1.2, 1.3, _RIGHT_ANGLE, -0.9, -_RIGHT_ANGLE),
         rest=(0.0,) * 6,
-        robot_types=("airbot_play", "bi_airbot_play"),
+        robot_types=("airbot_play_can", "bi_airbot_play_can", "airbot_play", "bi_airbot_play"),
     ),
     ShippedArm(
         "piper",

@@ -11,3 +11,6 @@ import robot_adapters.robots.config_airbot_play
 import robot_adapters.robots.config_mimicik_ee
 import robot_adapters.robots.config_mimicik_sim
 import robot_adapters.robots.config_recorded_motion  # noqa: F401
+from robot_adapters.robots.short_names import claim_short_names
+
+claim_short_names()

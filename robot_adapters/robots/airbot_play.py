@@ -24,6 +24,7 @@ from robot_adapters.airbot.gripper import MAX_OPENING
 from robot_adapters.clock import PatientClock, RealClock
 from robot_adapters.robots.config_airbot_play import AirbotConnection, AirbotPlayConfig, AirbotPlayEEConfig
 from robot_adapters.robots.end_effector import EndEffectorFace, PoseKeys
+from robot_adapters.robots.spelling import own_keys
 from robot_adapters.safety import ArmStopped, CommandStatus
 
 _log = logging.getLogger(__name__)
@@ -153,9 +154,11 @@ class AirbotPlay(Robot):
             ArmStoppedError: the arm has stopped.
         """
         self._let_time_pass()
-        given = np.array([self._number(action, key) for key in self.joint_keys])
+        self.check(action)
+        action = own_keys(action, self._motors_ft)
+        given = np.array([float(action[key]) for key in self.joint_keys])
         q = np.radians(given) if self.config.joint_units == "deg" else given
-        opening = self._number(action, GRIPPER) if self.config.gripper else None
+        opening = float(action[GRIPPER]) if self.config.gripper else None
         if self.config.max_relative_target is not None and np.isfinite(q).all():
             before = self.arm.read().q if self._last_target is None else self._last_target
             far = np.abs(q - before).max() / self.config.max_relative_target
@@ -195,10 +198,12 @@ class AirbotPlay(Robot):
     def _images(self) -> dict[str, Any]:
         return {name: camera.async_read() for name, camera in self.cameras.items()}
 
-    def _number(self, action: RobotAction, key: str) -> float:
-        if key not in action:
-            raise KeyError(f"the action has no {key!r}; {self.name} takes {list(self.action_features)}")
-        return float(action[key])
+    def check(self, action: RobotAction) -> None:
+        """Raise KeyError unless the action has every number, in this or another plugin's spelling."""
+        given = own_keys(action, self._motors_ft)
+        missing = [key for key in self._motors_ft if key not in given]
+        if missing:
+            raise KeyError(f"the action lacks {missing}; {self.name} takes {list(self.action_features)}")
 
 
 class AirbotPlayEE(AirbotPlay):
@@ -252,6 +257,10 @@ class AirbotPlayEE(AirbotPlay):
         self._let_time_pass()
         state = self.arm.read()
         return {**self.face.observed(state.q, self._opening(state.gripper)), **self._images()}
+
+    def check(self, action: RobotAction) -> None:
+        """Raise KeyError unless the action has every number of the pose, in one of the accepted spellings."""
+        self.face.check(action)
 
     def foresee(self, actions: Sequence[RobotAction]) -> None:
         """Say which poses follow the one that `send_action` is called with next, one a frame; it holds for that call.

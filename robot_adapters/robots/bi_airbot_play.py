@@ -109,14 +109,22 @@ class BiAirbotPlay(BimanualMixin, Robot):
             KeyError: a number of either arm is missing; then neither moves.
             ArmStoppedError: an arm has stopped.
         """
-        missing = [key for key in self.action_features if key not in action]
-        if missing:
-            raise KeyError(f"the action lacks {missing}; {self.name} takes {list(self.action_features)}")
+        own = {
+            side: {
+                key.removeprefix(f"{side}_"): value
+                for key, value in action.items()
+                if key.startswith(f"{side}_")
+            }
+            for side in SIDES
+        }
+        for side, arm in self._arms.items():
+            try:
+                arm.check(own[side])
+            except KeyError as error:
+                raise KeyError(f"{side} arm: {error.args[0]}") from error
         sent: RobotAction = {}
         for side, arm in self._arms.items():
-            prefix = f"{side}_"
-            own = {key.removeprefix(prefix): value for key, value in action.items() if key.startswith(prefix)}
-            sent |= {f"{prefix}{key}": value for key, value in arm.send_action(own).items()}
+            sent |= {f"{side}_{key}": value for key, value in arm.send_action(own[side]).items()}
         return sent
 
 

@@ -41,7 +41,7 @@ class AirbotConnection:
                 )
 
 
-@RobotConfig.register_subclass("airbot_play")
+@RobotConfig.register_subclass("airbot_play_can")
 @dataclass
 class AirbotPlayConfig(AirbotConnection, RobotConfig):
     """An AIRBOT Play in joint space: joint1.pos ... joint6.pos, gripper.pos (opening in m)."""
@@ -54,7 +54,7 @@ class AirbotPlayConfig(AirbotConnection, RobotConfig):
             RobotConfig.__post_init__(self)
 
 
-@RobotConfig.register_subclass("airbot_play_ee")
+@RobotConfig.register_subclass("airbot_play_can_ee")
 @dataclass
 class AirbotPlayEEConfig(AirbotPlayConfig):
     """An AIRBOT Play in end-effector space: ee.x.pos ... ee.gripper.pos, with MimicIK inside.
@@ -81,7 +81,7 @@ class BiAirbotOptions:
     right: AirbotConnection = field(default_factory=lambda: AirbotConnection(channel="can1"))
 
 
-@RobotConfig.register_subclass("bi_airbot_play")
+@RobotConfig.register_subclass("bi_airbot_play_can")
 @dataclass
 class BiAirbotPlayConfig(BiAirbotOptions, RobotConfig):
     """Two AIRBOT Plays in joint space."""
@@ -89,7 +89,7 @@ class BiAirbotPlayConfig(BiAirbotOptions, RobotConfig):
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
 
-@RobotConfig.register_subclass("bi_airbot_play_ee")
+@RobotConfig.register_subclass("bi_airbot_play_can_ee")
 @dataclass
 class BiAirbotPlayEEConfig(BiAirbotPlayConfig):
     """Two AIRBOT Plays in end-effector space, each pose in its own arm's base frame."""

@@ -133,8 +133,7 @@ def _describe(robot: Robot, part: Any, robot_type: str, prefix: str, arm: str) -
     if isinstance(known, ArmDescription):
         return known
     names = types_of(type(robot.config)) if hasattr(robot, "config") else []
-    if len(names) > 1 and robot_type in names:
-        names = [name for name in names if arm_of_robot_type(name)]
+    if robot_type in names and len({arm_of_robot_type(name) for name in names}) > 1:
         raise ValueError(
             f"{type(robot.config).__name__} is {' and '.join(names)}: arm_description="
             f"{' or '.join(str(arm_of_robot_type(name)) for name in names)} says which arm it is"

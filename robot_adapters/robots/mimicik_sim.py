@@ -14,6 +14,7 @@ from lerobot.utils.decorators import check_if_already_connected, check_if_not_co
 
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from robot_adapters.robots.config_mimicik_sim import MimicIKSimConfig
+from robot_adapters.robots.spelling import own_keys
 from robot_adapters.robots.units import JointUnits
 from robot_adapters.simulation.servo_arm import ServoArm, ServoParameters
 
@@ -135,6 +136,7 @@ class MimicIKSim(Robot):
             ValueError: a number is not finite.
         """
         assert self.servos is not None
+        action = own_keys(action, self._motors_ft)
         missing = [key for key in self._motors_ft if key not in action]
         if missing:
             raise KeyError(f"the action lacks {missing}; {self.name} takes {list(self._motors_ft)}")

@@ -59,7 +59,7 @@ class RecordedMotion(Teleoperator):
         table = dataset.hf_dataset.with_format("numpy", columns=["episode_index", column])[:]
         values = table[column][table["episode_index"] == self.config.episode]
         names = features[column].get("names") or []
-        keys = [name if name.endswith((".pos", ".vel")) else f"ee.{name}.pos" for name in names]
+        keys = [name if "." in name else f"ee.{name}.pos" for name in names]
         gripper = "ee.gripper.pos" if keys[:1] == ["ee.x.pos"] else "gripper.pos"
         if self.config.gripper is not None and gripper not in keys:
             keys.append(gripper)
