@@ -79,7 +79,7 @@ class DmMotor:
 
     `pos_max` [rad], `vel_max` [rad/s] and `torque_max` [Nm] are what the motor reports in its registers of
     those names: read them from the motor, a wrong range silently scales every number. ValueError unless they
-    are finite and positive.
+    are finite and positive. `answer_id` is the id of the frames with which the motor answers commands.
     """
 
     family = "dm"
@@ -87,9 +87,16 @@ class DmMotor:
     kd_range = FixedPoint(0.0, 5.0, 12)
 
     def __init__(
-        self, motor_id: int, pos_max: float = 12.5, vel_max: float = 30.0, torque_max: float = 10.0
+        self,
+        motor_id: int,
+        pos_max: float = 12.5,
+        vel_max: float = 30.0,
+        torque_max: float = 10.0,
+        answer_id: int | None = None,
     ) -> None:
+        """`answer_id` is what the motor is configured to answer under (its master id); by default 0x700 | `motor_id`."""
         self.id = check_motor_id(motor_id)
+        self.answer_id = 0x700 | self.id if answer_id is None else answer_id
         self.position_range = FixedPoint(-pos_max, pos_max, 16)
         self.velocity_range = FixedPoint(-vel_max, vel_max, 12)
         self.torque_range = FixedPoint(-torque_max, torque_max, 12)
@@ -127,7 +134,7 @@ class DmMotor:
         parameter: as feedback it would be a disabled motor at the very end of its position range.
         """
         data = payload(message)
-        if data is None or message.arbitration_id != 0x700 | self.id or len(data) != 8:
+        if data is None or message.arbitration_id != self.answer_id or len(data) != 8:
             return None
         if data[0] == self.id and data[1] == 0 and data[2] in (_READ, _WRITE) and data[3] in _DM_KINDS:
             value = unpack(_DM_KINDS[DmRegister(data[3])], data[4:])
@@ -152,7 +159,7 @@ class DmMotor:
         temperatures = (feedback.motor_temperature, feedback.mosfet_temperature)
         tail = bytes(min(max(value, 0), 255) for value in temperatures)
         head = bytes([(feedback.error & 0xF) << 4 | self.id & 0xF])
-        return frame(0x700 | self.id, head + bits.to_bytes(5, "big") + tail)
+        return frame(self.answer_id, head + bits.to_bytes(5, "big") + tail)
 
     def lifecycle(self, action: DmLifecycle) -> can.Message:
         """The frame that enables, disables, zeroes the motor or clears its error."""
@@ -164,11 +171,6 @@ class DmMotor:
         if data is None or message.arbitration_id != self.id or len(data) != 8 or data[:7] != b"\xff" * 7:
             return None
         return DmLifecycle(data[7]) if data[7] in DmLifecycle.__members__.values() else None
-
-    @property
-    def answer_id(self) -> int:
-        """Id of the frames with which the motor answers commands."""
-        return 0x700 | self.id
 
     @property
     def reply_ids(self) -> tuple[int, ...]:
@@ -242,4 +244,4 @@ class DmMotor:
     def encode_parameter(self, register: int, data: bytes, written: bool = False) -> can.Message:
         """The motor's answer to a request: the register's four bytes."""
         head = bytes([self.id, 0, _WRITE if written else _READ, register])
-        return frame(0x700 | self.id, head + data[:4].ljust(4, b"\0"))
+        return frame(self.answer_id, head + data[:4].ljust(4, b"\0"))

@@ -81,10 +81,11 @@ class GripperBody:
 
     inertia, damping = 0.01, 0.05  # kg m^2, Nm s/rad
 
-    def __init__(self) -> None:
+    def __init__(self, opened: float | None = None) -> None:
+        """`opened` is the motor's angle [rad] when open, below zero; by default the G2's. It is closed at zero."""
         self._position, self._velocity, self._torque = 0.0, 0.0, 0.0
         self._law = (0.0, 0.0, 0.0, 0.0, 0.0)
-        self._open, self._closed = motor_angle_from_opening(MAX_OPENING), 0.0
+        self._open, self._closed = motor_angle_from_opening(MAX_OPENING) if opened is None else opened, 0.0
 
     def state(self) -> tuple[float, float, float]:
         return self._position, self._velocity, self._torque
