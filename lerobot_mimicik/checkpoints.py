@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,14 +16,64 @@ if TYPE_CHECKING:
     from lerobot_mimicik.configuration_learned import LearnedIKConfig
     from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 
-# What tables call a checkpoint, by its policy's type.
-_KINDS = {"mimicik": "mimicik", "mimicik_mlp": "mlp", "mimicik_unet": "unet_diffusion"}
-LEARNED = ("mimicik", "mimicik_nofk", "mlp", "unet_diffusion")
+
+@dataclass(frozen=True)
+class LearnedKind:
+    """A kind of policy that this project trains; LeRobot finds its class beside its configuration.
+
+    Attributes:
+        name: What tables, solvers and benchmarks call it.
+        type: What LeRobot calls it (`--policy.type`).
+        configuration: The module that makes it known to LeRobot.
+        recipe: File in `configs/` that trains it, with `{size}` for its sizes.
+        about: What tables say of it.
+    """
+
+    name: str
+    type: str
+    configuration: str
+    recipe: str
+    about: str
+
+
+# The one table of learned policies: a new one is its files and an entry here.
+KINDS = (
+    LearnedKind(
+        "mimicik",
+        "mimicik",
+        "lerobot_mimicik.configuration_mimicik",
+        "{size}.json",
+        "The paper's policy: SuDeepDiT as a minimal iterative policy",
+    ),
+    LearnedKind(
+        "mlp",
+        "mimicik_mlp",
+        "lerobot_mimicik.baselines.configuration_mlp",
+        "mlp_{size}.json",
+        "The paper's pure MLP, one forward pass",
+    ),
+    LearnedKind(
+        "unet_diffusion",
+        "mimicik_unet",
+        "lerobot_mimicik.baselines.configuration_unet",
+        "unet_{size}.json",
+        "1-D UNet, DDPM with 10 steps (diffusers)",
+    ),
+)
+_BY_TYPE = {kind.type: kind for kind in KINDS}
+# As tables and solvers call checkpoints: the kinds, and MimicIK trained without the FK consistency loss.
+LEARNED = ("mimicik", "mimicik_nofk", *(kind.name for kind in KINDS[1:]))
+
+
+def register_configurations() -> None:
+    """Make every kind known to LeRobot, which knows a policy's type once its configuration is imported."""
+    for kind in KINDS:
+        importlib.import_module(kind.configuration)
 
 
 def kind_of(config: LearnedIKConfig) -> str:
     """What tables call a checkpoint with this configuration, one of `LEARNED`."""
-    kind = _KINDS[config.type]
+    kind = _BY_TYPE[config.type].name
     return "mimicik_nofk" if kind == "mimicik" and config.fk_weight == 0 else kind
 
 
@@ -64,9 +116,9 @@ def load_policy(path: str, device: str | None = None) -> LearnedIKPolicy:
     if device is not None:
         check_device(device)
     config = _read_config(found)
-    if config.type not in _KINDS:
+    if config.type not in _BY_TYPE:
         raise ValueError(
-            f"{path} is a checkpoint of type {config.type!r}; expected one of {', '.join(_KINDS)}."
+            f"{path} is a checkpoint of type {config.type!r}; expected one of {', '.join(_BY_TYPE)}."
         )
     if device is not None:
         config.device = device
@@ -97,11 +149,7 @@ def _read_config(found: str) -> LearnedIKConfig:
     from draccus.utils import DraccusException
     from lerobot.configs import PreTrainedConfig
 
-    # LeRobot knows a policy's type once its configuration is imported.
-    import lerobot_mimicik.baselines.configuration_mlp
-    import lerobot_mimicik.baselines.configuration_unet
-    import lerobot_mimicik.configuration_mimicik  # noqa: F401
-
+    register_configurations()
     file = Path(found) / "config.json"
     if file.is_file():
         try:

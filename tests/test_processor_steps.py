@@ -138,7 +138,7 @@ def test_a_wrapped_checkpoint_takes_and_gives_joints(act_run, mimicik_run, tmp_p
         assert np.abs(answer - start).max() < 0.05
     # The first query after loading finds the network traced.
     fresh = make_pre_post_processors(config, pretrained_path=str(folder))[1].steps[-1]
-    assert fresh.adapter.solver.is_traced
+    assert fresh.adapter.solver.engine
     with pytest.raises(ValueError, match="degrees"):
         pre({"observation.state": torch.as_tensor(np.degrees(HOME), dtype=torch.float32), "task": ""})
     fresh.relative_step = None

@@ -19,16 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_mimicik.checkpoints import KINDS
 from lerobot_mimicik.evaluation.evaluate import Evaluation
 from lerobot_mimicik.evaluation.report import definitions, markdown_table, unavailable_row
 
-_RECIPES = {"mimicik": "{size}.json", "mlp": "mlp_{size}.json", "unet_diffusion": "unet_{size}.json"}
-_ABOUT = {
-    "mimicik": "The paper's policy: SuDeepDiT as a minimal iterative policy",
-    "mlp": "The paper's pure MLP, one forward pass",
-    "unet_diffusion": "1-D UNet, DDPM with 10 steps (diffusers)",
-}
-_NAME = re.compile(rf"(({'|'.join(_RECIPES)})(?:_(nofk)|_fk(\d+(?:\.\d+)?))?)(_guided)?")
+_KINDS = {kind.name: kind for kind in KINDS}
+_NAME = re.compile(rf"(({'|'.join(_KINDS)})(?:_(nofk)|_fk(\d+(?:\.\d+)?))?)(_guided)?")
 # Counts, of which a row shows the worst seed's.
 _WORST = ("frames", "nonfinite", "episodes")
 _QUANTILES = np.linspace(0, 1, 201)
@@ -41,7 +37,7 @@ class LearnedRow:
     Attributes:
         name: How the table calls it.
         trained: What is trained for it: the name of the network's own row.
-        base: Which policy: "mimicik", "mlp" or "unet_diffusion".
+        base: Name of the kind of policy, one of `checkpoints.KINDS`.
         fk_weight: Weight of the FK consistency loss; None is the recipe's.
     """
 
@@ -66,7 +62,7 @@ class LearnedRow:
 
     def recipe(self, size: str) -> str:
         """File name of the recipe it is trained by."""
-        return _RECIPES[self.base].format(size=size)
+        return _KINDS[self.base].recipe.format(size=size)
 
     def options(self) -> list[str]:
         """Options of `lerobot-train` beside the recipe's."""
@@ -77,12 +73,12 @@ class LearnedRow:
         loss = "as the recipe says" if self.fk_weight is None else f"weighted by {self.fk_weight:g}"
         recipe = f"recipe configs/{self.recipe(size)}, FK consistency loss {loss}"
         guided = "" if self.name == self.trained else "; its step is the guided solver's prior"
-        return f"{_ABOUT[self.base]}; {recipe}; trained by lerobot-train{guided}"
+        return f"{_KINDS[self.base].about}; {recipe}; trained by lerobot-train{guided}"
 
 
 def learned_names() -> str:
     """The names of learned rows, as messages list them."""
-    return f"{', '.join(_RECIPES)}, each also with _nofk or _fk0.2, and with _guided"
+    return f"{', '.join(_KINDS)}, each also with _nofk or _fk0.2, and with _guided"
 
 
 class Summary:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.checkpoints import load_policy
+from lerobot_mimicik.checkpoints import LEARNED, load_policy
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.data.writer import ARM_FILE, read_arm_json
 from lerobot_mimicik.evaluation.anatomy import Ordeal, load_commands, make_ordeals, save_commands, undergo
@@ -209,7 +209,7 @@ def _checked(options: BenchOptions) -> dict[str, LearnedRow | None]:
         if row is None and name not in others:
             raise ValueError(
                 f"--solvers: unknown {name}; known are {learned_names()}, and {', '.join(others)}."
-                + did_you_mean(name, ["mimicik", "mlp", "unet_diffusion", *others])
+                + did_you_mean(name, [*LEARNED, *others])
             )
         if row is not None and options.train is None and not (options.policy and row.trained == "mimicik"):
             raise ValueError(

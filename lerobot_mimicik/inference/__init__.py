@@ -1,1 +1,1 @@
-"""Answering with a trained policy, one query at a time."""
+"""One step of a policy for one arm, and the engines that compute it."""

@@ -1,27 +1,10 @@
 """Inverse-kinematics solvers behind one interface: ``make_solver(name, arm, **options)``.
 
-A new solver is a module here that subclasses ``IKSolver`` and registers itself, and a line below. Peers that
-live in packages of their own import them when they are made: ``available_solvers()`` says which are here.
+A new solver is a module here that subclasses ``IKSolver`` and registers itself, and a line in `base.MODULES`. A
+solver's module is imported when it is asked for, and peers that live in packages of their own when they are made:
+``available_solvers()`` says which are here.
 """
 
-from lerobot_mimicik.solvers import (
-    embodik,
-    guided,
-    hold,
-    jparse,
-    least_squares,
-    limit,
-    mimicik,
-    mink,
-    optik,
-    pink,
-    pinocchio,
-    placo,
-    pybullet,
-    relaxed_ik,
-    remote,
-    ssik,
-)
 from lerobot_mimicik.solvers.availability import SolverUnavailable
 from lerobot_mimicik.solvers.base import (
     IKSolver,
@@ -36,24 +19,8 @@ __all__ = [
     "IKSolver",
     "SolverUnavailable",
     "available_solvers",
-    "embodik",
-    "guided",
-    "hold",
-    "jparse",
     "known_solvers",
-    "least_squares",
-    "limit",
     "make_solver",
-    "mimicik",
-    "mink",
-    "optik",
-    "pink",
-    "pinocchio",
-    "placo",
-    "pybullet",
     "register_solver",
-    "relaxed_ik",
-    "remote",
     "solver_configuration",
-    "ssik",
 ]

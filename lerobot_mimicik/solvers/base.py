@@ -8,6 +8,7 @@ x y z (m) qx qy qz qw.
 
 from __future__ import annotations
 
+import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_mimicik.checkpoints import LEARNED
 from lerobot_mimicik.kinematics.names import did_you_mean
 from lerobot_mimicik.solvers.availability import Package, SolverUnavailable
 
@@ -131,6 +133,30 @@ class OfflineSolver(IKSolver):
 
 
 SolverFactory = Callable[..., IKSolver]
+# Module of each solver of this package.
+MODULES = {
+    "embodik": "embodik",
+    "guided": "guided",
+    "guided_ahead": "guided",
+    "hold": "hold",
+    "jparse": "jparse",
+    "least_squares": "least_squares",
+    "limit": "limit",
+    "mimicik_guided": "guided",
+    "mink": "mink",
+    "optik": "optik",
+    "pink": "pink",
+    "pinocchio": "pinocchio",
+    "pinocchio_undamped": "pinocchio",
+    "placo": "placo",
+    "placo_lerobot": "placo",
+    "placo_lerobot_8": "placo",
+    "pybullet": "pybullet",
+    "relaxed_ik": "relaxed_ik",
+    "remote": "remote",
+    "ssik": "ssik",
+    **dict.fromkeys(LEARNED, "mimicik"),
+}
 _FACTORIES: dict[str, SolverFactory] = {}
 _NEEDS: dict[str, tuple[Package, ...]] = {}
 
@@ -139,7 +165,7 @@ def register_solver(name: str, needs: tuple[Package, ...] = ()) -> Callable[[Sol
     """Make ``make_solver(name, arm, **options)`` call the decorated class or function.
 
     Args:
-        name: What users and tables call it.
+        name: What users and tables call it; a class gets it as its attribute `name`.
         needs: Packages without which it cannot run; its module must be importable without them.
 
     Raises:
@@ -147,8 +173,11 @@ def register_solver(name: str, needs: tuple[Package, ...] = ()) -> Callable[[Sol
     """
 
     def register(factory: SolverFactory) -> SolverFactory:
-        if _FACTORIES.get(name, factory) is not factory:
-            raise ValueError(f"A solver called {name!r} is already registered: {_FACTORIES[name]!r}.")
+        own = f"{__package__}.{MODULES[name]}" if name in MODULES else factory.__module__
+        if _FACTORIES.get(name, factory) is not factory or factory.__module__ != own:
+            raise ValueError(f"A solver called {name!r} is already registered.")
+        if isinstance(factory, type) and issubclass(factory, IKSolver):
+            factory.name = name
         _FACTORIES[name] = factory
         _NEEDS[name] = needs
         return factory
@@ -158,12 +187,19 @@ def register_solver(name: str, needs: tuple[Package, ...] = ()) -> Callable[[Sol
 
 def known_solvers() -> tuple[str, ...]:
     """Names that ``make_solver`` takes, sorted."""
-    return tuple(sorted(_FACTORIES))
+    return tuple(sorted({*MODULES, *_FACTORIES}))
 
 
 def solver_configuration(name: str) -> str:
     """The `configuration` of a known solver; it need not be available."""
-    return getattr(_FACTORIES[name], "configuration", "")
+    return getattr(_factory(name), "configuration", "")
+
+
+def _factory(name: str) -> SolverFactory:
+    """What makes a known solver; its module is imported for it."""
+    if name not in _FACTORIES:
+        importlib.import_module(f"{__package__}.{MODULES[name]}")
+    return _FACTORIES[name]
 
 
 def available_solvers() -> dict[str, str | None]:
@@ -172,6 +208,7 @@ def available_solvers() -> dict[str, str | None]:
 
 
 def _why_unavailable(name: str) -> str | None:
+    _factory(name)
     try:
         for package in _NEEDS[name]:
             package.load()
@@ -192,12 +229,12 @@ def make_solver(name: str, arm: SerialArm, **options: Any) -> IKSolver:
         ValueError: If no solver has that name.
         SolverUnavailable: If a package or device that it needs is not here.
     """
-    if name not in _FACTORIES:
+    if name not in known_solvers():
         raise ValueError(
-            f"Unknown solver {name!r}; known are {', '.join(known_solvers()) or 'none'}."
+            f"Unknown solver {name!r}; known are {', '.join(known_solvers())}."
             + did_you_mean(name, known_solvers())
         )
     reason = _why_unavailable(name)
     if reason is not None:
         raise SolverUnavailable(f"The solver {name!r} is not available: {reason}")
-    return _FACTORIES[name](arm, **options)
+    return _factory(name)(arm, **options)

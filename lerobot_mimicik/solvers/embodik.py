@@ -26,7 +26,6 @@ EMBODIK = from_extra("embodik")
 class EmbodikSolver(IterativeSolver):
     """Prioritised velocity steps; see the module."""
 
-    name = "embodik"
     configuration = (
         "A frame task (elastic scaling) and a posture task towards home of second priority, weight 0.01, automatic layout "
         "and weighted fallback on, up to 20 steps from the measured joints that each make up the whole error, joint "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,9 +11,10 @@ from lerobot_mimicik.guidance.approach import towards
 from lerobot_mimicik.guidance.guided import Guidance
 from lerobot_mimicik.guidance.model import arm_model
 from lerobot_mimicik.guidance.settings import GuidanceSettings
-from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
-from lerobot_mimicik.solvers.mimicik import MimicIKSolver
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.kinematics.chain import SerialArm
 
 _LARGEST = np.array([0.05] * 3 + [0.3] * 3)  # m, rad: what a prior is asked for at once, as in the adapter
 
@@ -22,7 +23,6 @@ _LARGEST = np.array([0.05] * 3 + [0.3] * 3)  # m, rad: what a prior is asked for
 class GuidedSolver(IKSolver):
     """Regularised least squares in two passes, within limits and step bound; see `guidance`."""
 
-    name = "guided"
     configuration = (
         "This project's guidance with its defaults, one frame at a time: iterated Tikhonov regularisation of velocity "
         "and acceleration, clearance from limits, at most 0.095 rad a frame; what MimicIKAdapter.for_arm runs"
@@ -59,7 +59,6 @@ class GuidedSolver(IKSolver):
 class GuidedAheadSolver(GuidedSolver):
     """The same where the next targets are known."""
 
-    name = "guided_ahead"
     look_ahead = 7
     configuration = (
         "This project's guidance where a chunk of 8 targets is known: velocity and third difference of the whole plan, "
@@ -71,7 +70,6 @@ class GuidedAheadSolver(GuidedSolver):
 class MimicIKGuidedSolver(GuidedSolver):
     """Guidance with the step of a MimicIK checkpoint as its prior."""
 
-    name = "mimicik_guided"
     configuration = (
         "This project's guidance with the checkpoint's step as prior, trusted as far as it meets the target; what "
         "MimicIKAdapter.from_pretrained runs"
@@ -85,6 +83,8 @@ class MimicIKGuidedSolver(GuidedSolver):
             device: Where the policy runs.
             settings: Of `GuidanceSettings`.
         """
+        from lerobot_mimicik.solvers.mimicik import MimicIKSolver
+
         super().__init__(arm, **settings)
         self._learned = MimicIKSolver(arm, policy, device=device)
         self._prior = self._ask

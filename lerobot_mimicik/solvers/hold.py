@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from lerobot_mimicik.kinematics.chain import SerialArm
+from typing import TYPE_CHECKING
+
 from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.kinematics.chain import SerialArm
 
 
 @register_solver("hold")
 class HoldSolver(IKSolver):
     """Answers `q_curr` to every question (delta q = 0)."""
 
-    name = "hold"
     configuration = "The command is the measured joints: what the data alone gives"
     batched = True
 

@@ -28,7 +28,6 @@ JPARSE = from_extra("jparse_robotics")
 class JParseSolver(IterativeSolver):
     """Velocity steps by the J-PARSE inverse; see the module."""
 
-    name = "jparse"
     configuration = (
         "The J-PARSE inverse, gamma 0.1, singular direction gains 1, up to 5 steps from the measured joints that "
         "each make up the whole error, cut to joint limits and at most 0.1 rad from the measured joints. After "

@@ -7,14 +7,18 @@ and 1e-3 with which the arm was not caught near singularities; smaller ones are 
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.guidance.box_step import bounded_step, step_box
-from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.point_chain import PointChain
 from lerobot_mimicik.solvers.base import Array, IKSolver, register_solver
 from lerobot_mimicik.solvers.iterative import MAX_STEP, joint_limits
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.kinematics.chain import SerialArm
 
 _LEVER = 0.1  # m per rad: 1 mm counts as much as 0.6 degrees
 
@@ -23,7 +27,6 @@ _LEVER = 0.1  # m per rad: 1 mm counts as much as 0.6 degrees
 class LeastSquaresSolver(IKSolver):
     """A single step of damped least squares in the box of the control step; see the module."""
 
-    name = "least_squares"
     configuration = (
         "Reference: one damped least-squares step from the measured joints, rotations weighted by 0.1 m/rad, "
         "damping 1e-3, joint limits and at most 0.1 rad by an active set"

@@ -16,7 +16,6 @@ from lerobot_mimicik.solvers.base import Array, OfflineSolver, register_solver
 class LimitSolver(OfflineSolver):
     """Whole-trajectory least squares from the recorded joints; see the module."""
 
-    name = "limit"
     configuration = (
         "Reference that knows the future: the recorded joints refined as a whole (Levenberg-Marquardt, 0.5 mm and 0.2 "
         "degrees against second differences), joint limits less 0.02 rad, no bound on the step; latency is its "

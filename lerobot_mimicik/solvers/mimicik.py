@@ -10,7 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from lerobot_mimicik.checkpoints import LEARNED, kind_of, load_policy
-from lerobot_mimicik.inference.traced import TracedPolicy
+from lerobot_mimicik.inference.engines import check_engine
+from lerobot_mimicik.inference.single import SingleQuery
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import Array, IKSolver, SolverFactory, register_solver
 
@@ -35,6 +36,7 @@ class MimicIKSolver(IKSolver):
         name: str | None = None,
         device: str | None = None,
         chunk: int = 4096,
+        engine: str = "auto",
     ) -> None:
         """
         Args:
@@ -43,9 +45,10 @@ class MimicIKSolver(IKSolver):
             name: How tables call it; None is the checkpoint's kind.
             device: Where the policy runs; None leaves a loaded policy where it is.
             chunk: Most queries answered in one forward pass by ``solve_recorded``.
+            engine: What computes single queries: one of `ENGINES`, or "auto", the fastest that agrees.
 
         Raises:
-            ValueError: If the policy drives another number of joints than ``arm`` has.
+            ValueError: If the policy drives another number of joints than ``arm`` has, or there is no such engine.
         """
         self.policy: LearnedIKPolicy = load_policy(policy, device) if isinstance(policy, str) else policy
         if device is not None:
@@ -61,7 +64,8 @@ class MimicIKSolver(IKSolver):
         self.steps = int(self.policy.config.n_obs_steps)
         self.chunk = chunk
         self._device = next(self.policy.parameters()).device
-        self._traced: TracedPolicy | None = None
+        self._engine = check_engine(engine)
+        self._single: SingleQuery | None = None
         self._q: Array | None = None
         self._target: Array | None = None
 
@@ -74,13 +78,13 @@ class MimicIKSolver(IKSolver):
         return relative.lower.double().cpu().numpy(), relative.upper.double().cpu().numpy()
 
     @property
-    def is_traced(self) -> bool:
-        """Whether single queries are fast already: the first ones trace the network."""
-        return self._traced is not None
+    def engine(self) -> str | None:
+        """What computes single queries, by name; None before the first one, which makes the engine."""
+        return None if self._single is None else self._single.name
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the traced network, which does not pickle; it is traced again when asked."""
-        return self.__dict__ | {"_traced": None}
+        """Without the engine, which does not pickle; it is made again when asked."""
+        return self.__dict__ | {"_single": None}
 
     def reset(self, q: Array) -> None:
         """Forget the history; the next ``solve`` starts a new one."""
@@ -118,9 +122,9 @@ class MimicIKSolver(IKSolver):
     def _ask(self, q: Array, target: Array) -> Array:
         """(B, T_o, dof) and (B, T_o, 7) -> (B, dof)."""
         if len(q) == 1:
-            if self._traced is None:
-                self._traced = TracedPolicy(self.policy)
-            return self._traced(q[0], target[0])[None]
+            if self._single is None:
+                self._single = SingleQuery.of(self.policy, self._engine)
+            return self._single(q[0], target[0])[None]
         to_tensor = {"dtype": torch.float32, "device": self._device}
         with torch.inference_mode():
             command = self.policy.predict_joints(

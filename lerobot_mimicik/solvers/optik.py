@@ -27,7 +27,6 @@ OPTIK = from_extra("optik")
 class OptikSolver(IKSolver):
     """The nearest of several optimised solutions; see the module."""
 
-    name = "optik"
     configuration = (
         "The solution nearest to the measured joints of 4 starts (they and 3 random ones), mode quality, tolerance "
         "1e-12, no time limit, one thread, joint limits, approached by at most 0.1 rad; held where there is none. "

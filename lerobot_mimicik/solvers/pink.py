@@ -29,7 +29,6 @@ PINK, DAQP = from_extra("pink"), from_extra("daqp")
 class PinkSolver(FrameTaskSolver):
     """Differential inverse kinematics with a frame task, iterated; see the module."""
 
-    name = "pink"
     configuration = (
         "A FrameTask, costs 1 and 1, LM damping 1e-3; a PostureTask towards home, cost 1e-3; up to 20 quadratic "
         "programs (DAQP) from the measured joints; joint limits and at most 0.1 rad from the measured joints as "

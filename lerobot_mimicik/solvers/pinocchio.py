@@ -29,7 +29,6 @@ from lerobot_mimicik.solvers.pinocchio_model import PINOCCHIO, PinocchioModel
 class PinocchioSolver(IterativeSolver):
     """Damped least squares within joint limits and step bound; see the module."""
 
-    name = "pinocchio"
     configuration = (
         "Damped least squares on log6 of the tool error: damping 1e-6 plus 1e-3 times the squared "
         "error (Sugihara 2011), up to 20 full steps from the measured joints, joint limits and at "
@@ -74,7 +73,6 @@ class PinocchioSolver(IterativeSolver):
 class UndampedPinocchioSolver(IKSolver):
     """Newton steps by the pseudo-inverse, unbounded; see the module. Its commands may lie outside limits."""
 
-    name = "pinocchio_undamped"
     configuration = (
         "The paper's baseline: pseudo-inverse steps from the measured joints, up to 100 or to an "
         "error of 1e-6, without damping, limits or a bound on the step"

@@ -32,7 +32,6 @@ PLACO = from_extra("placo")
 class LeRobotPlacoSolver(IKSolver):
     """LeRobot's inverse kinematics; see the module."""
 
-    name = "placo_lerobot"
     configuration = (
         "LeRobot 0.6's own RobotKinematics with its defaults: one quadratic program per call, "
         "position weight 1, orientation weight 0.01, joint limits, no bound on the step"
@@ -74,7 +73,6 @@ class LeRobotPlacoSolver(IKSolver):
 class LeRobotIteratedPlacoSolver(LeRobotPlacoSolver):
     """LeRobot's inverse kinematics with 8 iterations; see the module."""
 
-    name = "placo_lerobot_8"
     configuration = (
         "LeRobot 0.6's RobotKinematics as placo_lerobot, but 8 quadratic programs per call, each from the last one's "
         "answer, as LeRobot's main branch iterates"
@@ -89,7 +87,6 @@ class LeRobotIteratedPlacoSolver(LeRobotPlacoSolver):
 class PlacoSolver(IterativeSolver):
     """placo with full orientation weight, iterated; see the module."""
 
-    name = "placo"
     configuration = (
         "A soft FrameTask, weights 1 and 1, regularization 1e-6, a soft JointsTask towards home, weight 1e-5, up to "
         "20 iterations from the measured joints, joint limits and at most 0.1 rad from the measured joints. After "

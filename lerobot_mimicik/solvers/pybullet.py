@@ -29,7 +29,6 @@ PYBULLET = Package("pybullet", "uv pip install pybullet (no wheel for Python 3.1
 class PyBulletSolver(IKSolver):
     """PyBullet's damped least squares; see the module."""
 
-    name = "pybullet"
     configuration = (
         "calculateInverseKinematics with IK_DLS, 100 iterations from the measured joints, "
         "residual 1e-6; the answer is cut to joint limits and at most 0.1 rad from the measured "

@@ -34,7 +34,6 @@ RELAXED_IK = from_extra("relaxed_ik_lib")
 class RelaxedIKSolver(IKSolver):
     """RelaxedIK's optimisation over pose and motion; see the module."""
 
-    name = "relaxed_ik"
     configuration = (
         "Its own weights (position 50, orientation 10, velocity 0.7, acceleration 0.5, jerk 0.3, manipulability 1, "
         "limits 0.1, self-collision 0.01 with links of 5 cm), from its own last answer; cut to joint limits and at most "

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import register_solver
 
 if TYPE_CHECKING:
+    from lerobot_mimicik.kinematics.chain import SerialArm
     from lerobot_mimicik.serving.client import IKClient
 
 

@@ -30,7 +30,6 @@ SSIK = from_extra("ssik")
 class SsikSolver(IKSolver):
     """Closed-form solutions, the nearest of them; see the module."""
 
-    name = "ssik"
     configuration = (
         "All closed-form solutions within the joint limits, the nearest one (largest joint move "
         "smallest), approached by at most 0.1 rad; held where there is none. After its "

@@ -1,0 +1,37 @@
+"""The pure step of a policy: frames and noise in, a joint step out. Every engine computes this and nothing else."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from torch import Tensor, nn
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.modeling_learned import LearnedIKPolicy
+
+
+class JointStep(nn.Module):
+    """Joints and poses to a joint step [rad], (dof,), from the averaged weights at construction time."""
+
+    def __init__(self, policy: LearnedIKPolicy):
+        super().__init__()
+        self.network, self.conditioning, self.delta = (
+            policy.average.network,
+            policy.conditioning,
+            policy.delta,
+        )
+        self.objective, self.clip = policy.objective, policy.config.clip_delta
+
+    def forward(self, frames: Tensor, noise: Tensor) -> Tensor:
+        """The step of one query.
+
+        Args:
+            frames: q [rad], current and target pose side by side, oldest frame first, float64, (T_o, dof + 14).
+            noise: what the objective draws, float32, (1, draws * dof).
+
+        Returns:
+            float64, (dof,).
+        """
+        q, current, target = frames.float().unsqueeze(0).split([frames.shape[-1] - 14, 7, 7], dim=-1)
+        delta = self.objective.predict(self.network, self.conditioning(q, current, target), noise)
+        return self.delta.unnormalise(delta.clamp(-1, 1) if self.clip else delta)[0].double()
