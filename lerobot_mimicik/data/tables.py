@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from lerobot_mimicik.kinematics.names import did_you_mean
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 TABLE_SUFFIXES = (".parquet", ".csv", ".csv.gz", ".tsv")
@@ -100,6 +103,8 @@ def read_table(path: Path) -> pd.DataFrame:
 
 
 def _read(path: Path) -> pd.DataFrame:
+    import pandas as pd
+
     if path.name.endswith(".parquet"):
         return read_parquet(path)
     if path.name.endswith(TABLE_SUFFIXES):
@@ -115,6 +120,8 @@ def _read(path: Path) -> pd.DataFrame:
 
 def read_parquet(path: Path, columns: list[str] | None = None) -> pd.DataFrame:
     """A parquet file, or ValueError with its name."""
+    import pandas as pd
+
     try:
         return pd.read_parquet(path, columns=columns)
     except (ValueError, OSError) as error:  # pyarrow's own errors are one or the other
@@ -127,6 +134,8 @@ def numeric(table: pd.DataFrame, names: Sequence[str], where: str) -> np.ndarray
     Raises:
         ValueError: a cell holds something else; names table, column, row and cell.
     """
+    import pandas as pd
+
     found = []
     for name in names:
         values = pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=np.float64)
@@ -224,6 +233,8 @@ def _label(table: pd.DataFrame, names: tuple[str, ...], row: int) -> str:
 
 def _stamps(table: pd.DataFrame, columns: TableColumns, where: str) -> np.ndarray:
     """Stamps of all rows in seconds (N,); rows counted at the given rate if there are none."""
+    import pandas as pd
+
     name = guess_one(table, columns.time, "time", where)
     if name is None:
         if columns.fps <= 0:

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _POSITION = (
     ("x", "y", "z"), ("px", "py", "pz"), ("pos_x", "pos_y", "pos_z"), ("tx", "ty", "tz"),

@@ -11,10 +11,9 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from lerobot_mimicik.data.retargeting.pose_columns import PoseColumns, find_pose_columns, gather_poses
 from lerobot_mimicik.data.tables import (
@@ -28,6 +27,9 @@ from lerobot_mimicik.data.tables import (
     spans,
     table_files,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 POSITION_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
@@ -144,6 +146,8 @@ def _poses(table: pd.DataFrame, found: PoseColumns, columns: SourceColumns, wher
 
 def _load_lerobot(root: Path, columns: SourceColumns, joint_names: Sequence[str]) -> list[Recording]:
     """Recordings of a LeRobot v3 dataset: one per episode, from the first feature that holds poses."""
+    import pandas as pd
+
     try:
         info = json.loads((root / "meta" / "info.json").read_text())
     except ValueError as error:
