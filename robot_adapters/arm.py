@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -150,3 +150,23 @@ class Arm(Protocol):
     def close(self) -> None:
         """Let the arm down softly and let go of it. Closing twice is harmless."""
         ...
+
+
+class SimulatedArmCell(Protocol):
+    """A simulated arm and its driver, on a bus of their own; a context manager that closes all."""
+
+    arm: Arm
+    clock: Clock
+    channel: str
+
+    def protections(self) -> dict[str, Any]:
+        """What the arm's own protections counted: emergency stops, large steps."""
+        ...
+
+    def close(self) -> None:
+        """Close the driver, stop the simulation and close the bus. Closing twice is harmless."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...

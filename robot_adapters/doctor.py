@@ -6,7 +6,6 @@ moved or written.
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,40 +15,13 @@ import numpy as np
 
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.poses import IDENTITY, PoseFormat, compose, decode_pose, pose_distance
-from robot_adapters.airbot.protocol import DmMotor, MotorFeedback
-from robot_adapters.airbot.startup import ArmIdentity, RangeError, identify, other_master
-from robot_adapters.can.bus import ask, open_bus
-from robot_adapters.can.dm_motor import DM_ERRORS
+from robot_adapters.arm import SimulatedArmCell
+from robot_adapters.checks import ArmChecks, Check, CheckFailed, CheckOutcome, Finding
 from robot_adapters.clock import RealClock
+from robot_adapters.drivers import arm_checks, driver_of, simulated_cell
 from robot_adapters.safety import SafetyLimits
 
 _LIKELY_POSITION, _LIKELY_ROTATION = 0.005, 0.03  # m, rad: between FK and another's word on the same pose
-
-
-class Outcome(enum.StrEnum):
-    """How a check ended."""
-
-    OK = "ok"
-    FAILED = "failed"
-    SKIPPED = "skipped"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One check: its name, how it ended, what was seen, and what to do where it failed."""
-
-    check: str
-    outcome: Outcome
-    detail: str
-    remedy: str = ""
-
-
-class CheckFailed(Exception):  # noqa: N818 - the outcome of a check, not an error of the program
-    """A check did not pass: what was seen, and the remedy."""
-
-    def __init__(self, detail: str, remedy: str) -> None:
-        super().__init__(detail)
-        self.detail, self.remedy = detail, remedy
 
 
 @dataclass
@@ -57,6 +29,7 @@ class DoctorOptions:
     """What to check.
 
     Attributes:
+        arm: the name of the arm, one of `DRIVERS`.
         interface, channel: python-can's; empty: no bus and no arm. `virtual` is a simulated arm of its own.
         policy_path: a MimicIK checkpoint; empty: none.
         reported_pose: `T_base_tool` that the vendor's software or a ruler reports for the arm as it stands,
@@ -64,6 +37,7 @@ class DoctorOptions:
         tool: pose of that tool in the end link, (7,); empty: the end link itself.
     """
 
+    arm: str = "airbot_play"
     interface: str = ""
     channel: str | None = None
     policy_path: str = ""
@@ -72,55 +46,68 @@ class DoctorOptions:
 
 
 class Doctor:
-    """Runs the checks in order; `findings` grows as they end."""
+    """Runs the checks in order; `findings` grows as they end. ValueError for an arm that is not driven here."""
 
     def __init__(self, options: DoctorOptions) -> None:
         self.options = options
         self.findings: list[Finding] = []
-        self._description = describe_arm("airbot_play")
+        driver_of(options.arm)
+        self._description = describe_arm(options.arm)
         self._policy: Any = None
-        self._bus: Any = None
-        self._simulation: Any = None
-        self._identity: ArmIdentity | None = None
+        self._arm: ArmChecks | None = None
+        self._cell: SimulatedArmCell | None = None
         self._clock = RealClock()
 
     def run(self, report: Callable[[Finding], None] = lambda finding: None) -> list[Finding]:
         """All checks; `report` is told of each as it ends."""
         options = self.options
-        bus, arm, policy = bool(options.interface), "motors", bool(options.policy_path)
-        checks: list[tuple[str, Callable[[], str], bool, str]] = [
-            ("plugin", self._plugin, True, ""),
-            ("URDF and joint order", self._urdf, True, ""),
-            ("checkpoint", self._checkpoint, policy, "plugin"),
-            ("checkpoint against robot", self._match, policy, "checkpoint"),
-            ("bus", self._open, bus, ""),
-            ("other masters", self._alone, bus, "bus"),
-            ("boards", self._boards, bus, "bus"),
-            ("motors", self._motors, bus, "boards"),
-            ("ranges", self._ranges, bus, arm),
-            ("errors and temperatures", self._health, bus, arm),
-            ("joint limits", self._limits, bus, arm),
-            ("FK against the reported pose", self._pose, bus and len(options.reported_pose) > 0, arm),
-        ]
+        checks = [Check("plugin", self._plugin), Check("URDF and joint order", self._urdf)]
+        if options.policy_path:
+            checks += [
+                Check("checkpoint", self._checkpoint, "plugin"),
+                Check("checkpoint against robot", self._match, "checkpoint"),
+            ]
         try:
-            for name, check, wanted, needs in checks:
-                if wanted:
-                    finding = self._run(name, check, needs)
-                    self.findings.append(finding)
-                    report(finding)
+            if options.interface:
+                checks += self._on_the_bus()
+            for check in checks:
+                finding = self._run(check)
+                self.findings.append(finding)
+                report(finding)
         finally:
             self._close()
         return self.findings
 
-    def _run(self, name: str, check: Callable[[], str], needs: str) -> Finding:
-        if any(f.check == needs and f.outcome is not Outcome.OK for f in self.findings):
-            return Finding(name, Outcome.SKIPPED, f"needs: {needs}")
+    def _on_the_bus(self) -> list[Check]:
+        """The arm's own checks, and what its joints must fit."""
+        options, channel = self.options, self.options.channel
+        if options.interface == "virtual":
+            try:
+                self._cell = simulated_cell(options.arm, self._clock)
+            except ModuleNotFoundError as error:
+                said = str(error)
+
+                def missing() -> str:
+                    raise CheckFailed(said, "uv pip install 'lerobot_policy_mimicik[sim]'")
+
+                return [Check("bus", missing)]
+            channel = self._cell.channel
+        self._arm = arm_checks(options.arm, options.interface, channel, self._clock)
+        checks = [*self._arm.checks(), Check("joint limits", self._limits, "motors")]
+        if len(options.reported_pose):
+            checks.append(Check("FK against the reported pose", self._pose, "motors"))
+        return checks
+
+    def _run(self, check: Check) -> Finding:
+        name = check.name
+        if any(f.check == check.needs and f.outcome is not CheckOutcome.OK for f in self.findings):
+            return Finding(name, CheckOutcome.SKIPPED, f"needs: {check.needs}")
         try:
-            return Finding(name, Outcome.OK, check())
+            return Finding(name, CheckOutcome.OK, check.run())
         except CheckFailed as failed:
-            return Finding(name, Outcome.FAILED, failed.detail, failed.remedy)
+            return Finding(name, CheckOutcome.FAILED, failed.detail, failed.remedy)
         except Exception as error:  # a doctor that dies of what it finds helps nobody
-            return Finding(name, Outcome.FAILED, f"{type(error).__name__}: {error}")
+            return Finding(name, CheckOutcome.FAILED, f"{type(error).__name__}: {error}")
 
     def _plugin(self) -> str:
         from lerobot.configs import PreTrainedConfig
@@ -189,88 +176,6 @@ class Doctor:
             )
         return "same joints, limits and kinematics" + (", with a tool" if offset else "")
 
-    def _open(self) -> str:
-        options = self.options
-        try:
-            if options.interface == "virtual":
-                from robot_adapters.simulation.simulated_arm import SimulatedArm
-
-                channel = f"doctor-{id(self)}"
-                self._simulation = SimulatedArm(open_bus("virtual", channel), self._clock).start()
-                self._bus = open_bus("virtual", channel)
-            else:
-                self._bus = open_bus(options.interface, options.channel)
-        except ModuleNotFoundError as error:
-            raise CheckFailed(str(error), "uv pip install 'lerobot_policy_mimicik[sim]'") from error
-        except OSError as error:
-            detail, _, remedy = str(error).partition("; ")
-            raise CheckFailed(detail, remedy or "check the interface and the channel") from error
-        return f"{options.interface} {options.channel or ''} is open".replace("  ", " ")
-
-    def _alone(self) -> str:
-        other = other_master(self._bus, self._clock)
-        if other is not None:
-            raise CheckFailed(other.detail, other.remedy)
-        return "nobody else commands the motors"
-
-    def _boards(self) -> str:
-        from robot_adapters.airbot.startup import read_tool
-
-        try:
-            tool = read_tool(self._bus, self._clock)
-        except (OSError, ValueError) as error:
-            raise CheckFailed(
-                str(error), "power the arm on; check cable, termination (120 Ohm) and the bitrate of 1 Mbit/s"
-            ) from error
-        return f"the end board answers; tool {tool.name}"
-
-    def _motors(self) -> str:
-        try:
-            self._identity = identify(self._bus, self._clock)
-        except RangeError as error:
-            detail, _, remedy = str(error).partition("; ")
-            raise CheckFailed(detail, remedy) from error
-        except OSError as error:
-            raise CheckFailed(
-                str(error),
-                "check the cable behind the last motor that answers, then power the arm off and on",
-            ) from error
-        found = self._identity
-        return f"{len(found.motors)} motors; {found.name or 'unnamed'} {found.serial}, {found.voltage:.1f} V"
-
-    def _ranges(self) -> str:
-        assert self._identity is not None
-        ranges = [
-            f"{each.motor.id}: ±{each.motor.position_range.high:g} rad"
-            for each in self._identity.motors
-            if isinstance(each.motor, DmMotor)
-        ]
-        return "reported and plausible, " + ", ".join(ranges)
-
-    def _health(self) -> str:
-        assert self._identity is not None
-        limits, seen = SafetyLimits(), []
-        for each in self._identity.motors:
-            if not isinstance(each.motor, DmMotor):
-                continue  # OD motors tell their temperature only when commanded
-            feedback = ask(
-                self._bus, self._clock, each.motor.ping(), _feedback_of(each.motor), f"motor {each.motor.id}"
-            )
-            if feedback.error > 1:
-                name = DM_ERRORS.get(feedback.error, f"error {feedback.error}")
-                raise CheckFailed(
-                    f"motor {each.motor.id} reports {name}", "clear the cause, then power the arm off and on"
-                )
-            hot = feedback.motor_temperature > limits.max_motor_temperature
-            if hot or feedback.mosfet_temperature > limits.max_mosfet_temperature:
-                raise CheckFailed(
-                    f"motor {each.motor.id}: {feedback.motor_temperature} C, electronics "
-                    f"{feedback.mosfet_temperature} C",
-                    "let the arm cool down; reduce payload and outstretched poses",
-                )
-            seen.append(f"{each.motor.id}: {feedback.motor_temperature} C")
-        return "no error; " + ", ".join(seen) + " (OD motors report theirs only when enabled)"
-
     def _limits(self) -> str:
         q, margin = self._joints(), SafetyLimits().start_margin
         for joint, value in zip(self._description.joints(), q, strict=True):
@@ -295,26 +200,17 @@ class Doctor:
         return said
 
     def _joints(self) -> list[float]:
-        assert self._identity is not None
-        return [each.position for each in self._identity.motors[: len(self._description.joint_names)]]
+        assert self._arm is not None  # "motors" has passed
+        return self._arm.joints()
 
     def _close(self) -> None:
-        if self._simulation is not None:
-            self._simulation.stop()
-            self._simulation.bus.shutdown()
-        if self._bus is not None:
-            self._bus.shutdown()
+        if self._arm is not None:
+            self._arm.close()
+        if self._cell is not None:
+            self._cell.close()
 
 
 def _forward(description: Any, q: np.ndarray) -> np.ndarray:
     from lerobot_mimicik.kinematics.array_chain import array_chain
 
     return array_chain(description).pose(q)[0]
-
-
-def _feedback_of(motor: DmMotor) -> Callable[[Any], MotorFeedback | None]:
-    def accept(message: Any) -> MotorFeedback | None:
-        reply = motor.decode(message)
-        return reply if isinstance(reply, MotorFeedback) else None
-
-    return accept

@@ -26,6 +26,7 @@ from lerobot_mimicik.kinematics.poses import compose, inverse, pose_distance
 from lerobot_mimicik.solvers.base import Array, IKSolver
 
 FPS = 20.0
+ARM = "airbot_play"  # the arm that these modes drive, one of `DRIVERS`
 _SAME_PLACE = 0.02  # m: a calibrated URDF of the same arm moves the tool by some millimetres
 _SAME_TURN = 0.1  # rad, likewise
 _POSTURES = 8  # compared; two arms that agree in one or two by chance do not in so many
@@ -54,7 +55,7 @@ def _drive_all(
     solver: IKSolver, trajectories: Sequence[Trajectory], options: RolloutOptions, measured: bool
 ) -> list[Rollout]:
     from robot_adapters.deployment import drive
-    from robot_adapters.simulation.cell import SimulatedCell
+    from robot_adapters.drivers import simulated_cell
 
     for trajectory in trajectories:
         refuse_another_arm(trajectory)
@@ -67,7 +68,7 @@ def _drive_all(
         mininterval=0.2 if sys.stderr.isatty() else 10.0,
     ) as bar:
         for number, trajectory in enumerate(trajectories):
-            with SimulatedCell(q=trajectory.q[0], seed=options.seed + number) as cell:
+            with simulated_cell(ARM, q=trajectory.q[0], seed=options.seed + number) as cell:
                 cell.arm.connect()
                 solver.reset(trajectory.q[:1] if solver.batched else trajectory.q[0])
 
@@ -87,16 +88,16 @@ def _drive_all(
     return rollouts
 
 
-def refuse_another_arm(trajectory: Trajectory) -> None:
-    """Refuse a motion that is not an AIRBOT Play's, by its joints and, where its arm is known, by that.
+def refuse_another_arm(trajectory: Trajectory, name: str = ARM) -> None:
+    """Refuse a motion that is not of the driven arm `name`, by its joints and, where its arm is known, by that.
 
     Tools may differ: between the two arms' tools there must be a constant pose, however the joints stand.
 
     Raises:
         ValueError: it is another arm's.
     """
-    own, other = describe_arm("airbot_play"), trajectory.arm
-    beginning = f"the arm that is driven is an AIRBOT Play; trajectory {trajectory.index} is of another arm"
+    own, other = describe_arm(name), trajectory.arm
+    beginning = f"the arm that is driven is {name}; trajectory {trajectory.index} is of another arm"
     dof = trajectory.q.shape[1]
     if dof != len(own.joint_names):
         raise ValueError(f"{beginning}, with {dof} joints: expected {len(own.joint_names)}")

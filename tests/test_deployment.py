@@ -17,9 +17,12 @@ from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers import make_solver
 from robot_adapters.adapter import MimicIKAdapter
 from robot_adapters.airbot.od_motor import OdMotor
+from robot_adapters.arm import Arm, SimulatedArmCell
 from robot_adapters.can.bus import BusError, open_bus
+from robot_adapters.checks import CheckOutcome
 from robot_adapters.deployment import approach, drive
-from robot_adapters.doctor import Doctor, DoctorOptions, Outcome
+from robot_adapters.doctor import Doctor, DoctorOptions
+from robot_adapters.drivers import DRIVERS, arm_checks, simulated_cell
 from robot_adapters.plant_mode import refuse_another_arm
 from robot_adapters.simulation.cell import SimulatedCell
 from robot_adapters.simulation.faults import Fault, FaultKind
@@ -228,7 +231,7 @@ def test_a_deployment_that_the_arm_ends_is_reported_as_far_as_it_went(mimicik_ru
 # --- The doctor ---
 
 
-def outcomes(**options) -> dict[str, Outcome]:
+def outcomes(**options) -> dict[str, CheckOutcome]:
     return {finding.check: finding.outcome for finding in Doctor(DoctorOptions(**options)).run()}
 
 
@@ -237,7 +240,7 @@ def test_doctor_finds_a_simulated_arm_and_its_checkpoint_well(mimicik_run):
     found = outcomes(
         interface="virtual", policy_path=str(mimicik_run), reported_pose=adapter.forward(HOME).tolist()
     )
-    assert set(found.values()) == {Outcome.OK}
+    assert set(found.values()) == {CheckOutcome.OK}
     assert {"plugin", "bus", "boards", "motors", "ranges", "checkpoint against robot"} <= set(found)
     assert "FK against the reported pose" in found
 
@@ -248,13 +251,35 @@ def test_doctor_names_failures_with_remedies_and_skips_what_rests_on_them(tmp_pa
     ).run()
     found = {finding.check: finding for finding in findings}
     for name in ("checkpoint", "bus"):
-        assert found[name].outcome is Outcome.FAILED
+        assert found[name].outcome is CheckOutcome.FAILED
         assert found[name].remedy
     for name in ("checkpoint against robot", "boards", "motors", "joint limits"):
-        assert found[name].outcome is Outcome.SKIPPED
+        assert found[name].outcome is CheckOutcome.SKIPPED
 
 
 def test_doctor_sees_a_pose_that_does_not_fit(mimicik_run):
     found = outcomes(interface="virtual", reported_pose=[0.5, 0.0, 0.35, 0.0, 0.0, 0.0, 1.0])
-    assert found["FK against the reported pose"] is Outcome.FAILED
-    assert found["joint limits"] is Outcome.OK
+    assert found["FK against the reported pose"] is CheckOutcome.FAILED
+    assert found["joint limits"] is CheckOutcome.OK
+
+
+# --- Drivers ---
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_every_driver_has_what_an_arm_needs(name):
+    with simulated_cell(name) as cell:
+        cell.arm.connect()
+        assert cell.arm.is_connected
+        assert cell.protections()["emergency_stop"] is False
+        named = {each for protocol in (Arm, SimulatedArmCell) for each in protocol.__protocol_attrs__}
+        missing = [each for each in named if not (hasattr(cell.arm, each) or hasattr(cell, each))]
+        assert not missing
+        checks = arm_checks(name, "virtual", cell.channel, cell.clock)
+        assert "motors" in [check.name for check in checks.checks()]
+        checks.close()
+
+
+def test_an_arm_that_nobody_drives_is_refused_by_name():
+    with pytest.raises(ValueError, match="known are airbot_play"):
+        simulated_cell("airbot_ply")

@@ -53,12 +53,6 @@ _KNOWN = {
     # The solver of whole trajectories, which makes data, is a row of the bench.
     ("lerobot_mimicik.solvers.limit", "lerobot_mimicik.data.retargeting.trajectory_ik"),
     ("lerobot_mimicik.solvers.remote", "lerobot_mimicik.serving.security"),
-    ("robot_adapters.doctor", "robot_adapters.airbot.protocol"),
-    ("robot_adapters.doctor", "robot_adapters.airbot.startup"),
-    ("robot_adapters.doctor", "robot_adapters.can.bus"),
-    ("robot_adapters.doctor", "robot_adapters.can.dm_motor"),
-    ("robot_adapters.doctor", "robot_adapters.simulation.simulated_arm"),
-    ("robot_adapters.plant_mode", "robot_adapters.simulation.cell"),
 }
 
 _CONFIGURATION = ("lerobot_mimicik.configuration_", "lerobot_mimicik.columns", "lerobot_mimicik.processor_")
@@ -69,7 +63,7 @@ def room(module: str) -> str:
     package, _, inside = module.partition(".")
     first, *deeper = inside.split(".")
     if package == "robot_adapters":
-        if first in ("arm", "clock", "safety", "signals"):
+        if first in ("arm", "checks", "clock", "safety", "signals"):
             return "clock"
         own = first if deeper or (ROOT / package / first).is_dir() else "adapters"
         return {"cli": "robots_cli", "": "adapters"}.get(own, own)

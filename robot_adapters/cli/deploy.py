@@ -48,6 +48,8 @@ class DeployConfig:
 
     policy: PolicyPath = field(default_factory=PolicyPath)
     dataset: MotionSource = field(default_factory=MotionSource)
+    # Which arm is driven: airbot_play.
+    arm: str = "airbot_play"
     # python-can's interface of the arm: socketcan, slcan, udp_multicast; virtual starts a simulated arm.
     interface: str = "virtual"
     # can0, /dev/ttyACM0, a multicast address; null: the interface's usual one.
@@ -115,7 +117,9 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     """
     from lerobot_mimicik.checkpoints import check_device, find_checkpoint
     from lerobot_mimicik.inputs import check_dataset
+    from robot_adapters.drivers import driver_of
 
+    driver_of(config.arm)
     if config.look_ahead < 0:
         raise ValueError(f"--look_ahead={config.look_ahead}: expected a number of frames, 0 or more")
     if config.policy.path:
@@ -169,7 +173,7 @@ def _adapter(config: DeployConfig) -> MimicIKAdapter:
     if config.policy.path:
         return MimicIKAdapter.from_pretrained(config.policy.path, config.device, **settings)
     own = arm_of_dataset(config.dataset.root) if config.dataset.root else None
-    return MimicIKAdapter.for_arm(own or describe_arm("airbot_play"), **settings)
+    return MimicIKAdapter.for_arm(own or describe_arm(config.arm), **settings)
 
 
 def _solver_name(config: DeployConfig) -> str:
@@ -197,7 +201,7 @@ def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> Recordin
         episodes = numbers(config.dataset.episodes, "--dataset.episodes") or None
         found = load_trajectories(root, arm, layout, episodes, root.name)
     for trajectory in found.trajectories:
-        refuse_another_arm(trajectory)
+        refuse_another_arm(trajectory, config.arm)
     if config.dataset.seconds:
         last = max(int(config.dataset.seconds * found.fps), 1)
         cut = tuple(t.first(last) for t in found.trajectories)
@@ -209,7 +213,7 @@ def _generated(folder: Path, config: DeployConfig) -> Path:
     from lerobot_mimicik.data.teleoperation.synthetic import make_synthetic
     from lerobot_mimicik.kinematics.arms import describe_arm
 
-    make_synthetic(folder, 1, describe_arm("airbot_play"), seed=config.seed, test_share=0.0, progress=False)
+    make_synthetic(folder, 1, describe_arm(config.arm), seed=config.seed, test_share=0.0, progress=False)
     return folder / "ood"
 
 
@@ -219,11 +223,11 @@ def _drive(
     """Drive every trajectory, and say what driver and simulated arm counted."""
     from tqdm import tqdm
 
-    from robot_adapters.airbot.arm import AirbotArm
+    from robot_adapters.arm import SimulatedArmCell
     from robot_adapters.clock import RealClock, SimulatedClock
     from robot_adapters.deployment import Watcher, approach, drive
     from robot_adapters.display import RerunDisplay
-    from robot_adapters.simulation.cell import SimulatedCell
+    from robot_adapters.drivers import open_arm, simulated_cell
 
     fps = recording.set.fps
     watchers: list[Watcher] = []
@@ -252,16 +256,20 @@ def _drive(
     )
     with bar:
         for number, trajectory in enumerate(recording.set.trajectories):
-            cell: SimulatedCell | None = None
+            cell: SimulatedArmCell | None = None
             if config.interface == "virtual":
                 clock: Any = RealClock() if config.real_time else SimulatedClock()
-                cell = SimulatedCell(
-                    clock, q=trajectory.q[0], seed=config.seed + number, handle_signals=config.real_time
+                cell = simulated_cell(
+                    config.arm,
+                    clock,
+                    q=trajectory.q[0],
+                    seed=config.seed + number,
+                    handle_signals=config.real_time,
                 )
                 arm, clock = cell.arm, cell.clock
             else:
                 clock = RealClock()
-                arm = AirbotArm(config.interface, config.channel, clock=clock)
+                arm = open_arm(config.arm, config.interface, config.channel, clock=clock)
             adapter.reset()
             try:
                 arm.connect()
@@ -283,14 +291,7 @@ def _drive(
                 )
                 loops.append(arm.statistics())
                 if cell is not None:
-                    simulation = cell.simulation
-                    protections.append(
-                        {
-                            "emergency_stop": simulation.emergency_stopped,
-                            "frames_above_0.1_rad": simulation.warnings,
-                            "largest_step_rad": round(simulation.largest_step, 4),
-                        }
-                    )
+                    protections.append(cell.protections())
             finally:
                 arm.close()
                 if cell is not None:

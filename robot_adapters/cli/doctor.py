@@ -23,6 +23,8 @@ class DoctorConfig:
     """Options of `mimicik doctor`."""
 
     policy: PolicyPath = field(default_factory=PolicyPath)
+    # Which arm: airbot_play.
+    arm: str = "airbot_play"
     # python-can's interface of the arm: socketcan, slcan, udp_multicast, or virtual (a simulated arm); empty:
     # no bus is opened.
     interface: str = ""
@@ -37,7 +39,8 @@ class DoctorConfig:
 def main(argv: Sequence[str]) -> int:
     """Run the command; status 1 if a check failed."""
     config = parse(DoctorConfig, argv, "mimicik doctor")
-    from robot_adapters.doctor import Doctor, DoctorOptions, Finding, Outcome
+    from robot_adapters.checks import CheckOutcome, Finding
+    from robot_adapters.doctor import Doctor, DoctorOptions
 
     def show(finding: Finding) -> None:
         print(f"{finding.outcome.upper():8}{finding.check}: {finding.detail}", flush=True)
@@ -45,9 +48,9 @@ def main(argv: Sequence[str]) -> int:
             print(f"        -> {finding.remedy}", flush=True)
 
     options = DoctorOptions(
-        config.interface, config.channel, config.policy.path, config.reported_pose, config.tool
+        config.arm, config.interface, config.channel, config.policy.path, config.reported_pose, config.tool
     )
     findings = Doctor(options).run(show)
-    failed = sum(finding.outcome is Outcome.FAILED for finding in findings)
+    failed = sum(finding.outcome is CheckOutcome.FAILED for finding in findings)
     print(f"{len(findings)} checks, {failed} failed." if failed else f"{len(findings)} checks, all well.")
     return 1 if failed else 0

@@ -47,7 +47,7 @@ class SimulatedCell:
         `cell.listener`.
         """
         self.clock: Clock = clock or SimulatedClock()
-        channel = f"airbot-cell-{next(_numbers)}"
+        self.channel = channel = f"airbot-cell-{next(_numbers)}"
         self._buses = [open_bus("virtual", channel)]
         self.simulation = SimulatedArm(
             self._buses[0], self.clock, parameters=parameters, q=q, tool=tool, faults=faults, seed=seed
@@ -69,6 +69,14 @@ class SimulatedCell:
         """Let a frozen driver go on."""
         if self.arm.schedule is not None:
             self.arm.schedule.paused = False
+
+    def protections(self) -> dict[str, Any]:
+        """What the arm's own protections counted."""
+        return {
+            "emergency_stop": self.simulation.emergency_stopped,
+            "frames_above_0.1_rad": self.simulation.warnings,
+            "largest_step_rad": round(self.simulation.largest_step, 4),
+        }
 
     def close(self) -> None:
         """Close the driver, stop the simulation and close the bus. Closing twice is harmless."""
