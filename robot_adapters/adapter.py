@@ -40,7 +40,8 @@ class IKStatus(enum.StrEnum):
     """What became of a target.
 
     REACHED: the command meets it within the tolerances, whoever found the command; a command that meets its
-    target has no other status, but for FAILED.
+    target has no other status, but for FAILED. What counts is what `orientation` asks for: on an arm that cannot
+    serve every direction (five joints), the position; the message names the turn that is missing.
     INEXACT (once called RELAXED, which still names it): it is in reach within one step, and the command comes
     near it.
     LIMITED: it is in reach, but further away than one step; the command is a step towards it, or towards
@@ -76,7 +77,7 @@ class IKResult:
         step: largest joint motion of the command [rad].
         source: who found the command: `guided`, the solver's name where guidance trusted it, `branch` on the way to
             another branch of the inverse kinematics, or `hold`.
-        message: in words, empty when reached.
+        message: in words; when reached, the orientation that the arm cannot serve, or nothing.
         certificate: why it does not meet the target, and the margins; None where the command holds.
     """
 
@@ -396,7 +397,7 @@ class MimicIKAdapter:
             self._restart_solver(solution.q)
         source = self._name if found.source == "prior" else found.source
         if found.reached:
-            status, message = IKStatus.REACHED, ""
+            status, message = IKStatus.REACHED, str(found)
         elif solution.changing:
             status, message = (
                 IKStatus.LIMITED,

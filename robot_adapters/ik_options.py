@@ -33,6 +33,10 @@ class IKOptions:
     position_tolerance: float = 0.002
     # Error of a target that counts as reached [rad].
     rotation_tolerance: float = 0.02
+    # How the orientation counts: auto, full, ranged (positions first), axis (tool_axis must point right) or position.
+    orientation: str = "auto"
+    # Axis of the tool for orientation=axis: x, y, z, -x, -y or -z.
+    tool_axis: str = "z"
 
     def load(self, arm: str | ArmDescription = "airbot_play") -> MimicIKAdapter:
         """The adapter, for an arm; a checkpoint knows its own.
@@ -71,4 +75,6 @@ class IKOptions:
             max_step=self.max_step,
             position_tolerance=self.position_tolerance,
             rotation_tolerance=self.rotation_tolerance,
+            orientation=self.orientation,
+            tool_axis=self.tool_axis,
         )

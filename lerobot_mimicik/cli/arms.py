@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import draccus
 import numpy as np
 
-from lerobot_mimicik.cli.options import underscored
+from lerobot_mimicik.cli.options import parse, underscored
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from lerobot_mimicik.kinematics.array_chain import array_chain
 from lerobot_mimicik.kinematics.plausibility import joint_limits
@@ -32,7 +31,7 @@ class ArmsConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    config = draccus.parse(ArmsConfig, args=underscored(argv))
+    config = parse(ArmsConfig, underscored(argv), "mimicik arms")
     if config.arm:
         print(_one(describe_arm(config.arm, tip_link=config.tip_link or None), config.arm))
     else:

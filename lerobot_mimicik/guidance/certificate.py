@@ -49,6 +49,8 @@ class Certificate:
         gap: Smallest gap between the arm's own bodies [m]; infinite without shapes.
         singular_value: Smallest singular value of the Jacobian, rotations by the arm's lever [m/rad].
         source: Who found the command.
+        free_axis: Where the position came first and the orientation is off: the axis of the tool (3,) about which the arm
+            cannot turn it in place; None where there is no such single axis.
     """
 
     reached: bool
@@ -63,9 +65,16 @@ class Certificate:
     gap: float
     singular_value: float
     source: str
+    free_axis: tuple[float, float, float] | None = None
 
     def __str__(self) -> str:
-        """The reason in words, empty when reached."""
+        """The reason in words; when reached, the orientation that is not served, or nothing."""
+        if self.reached and self.free_axis is not None:
+            axis = " ".join(f"{value:.2f}" for value in self.free_axis)
+            return (
+                f"the position is met; the arm cannot turn its tool about the tool's axis ({axis}), the orientation "
+                f"is {self.rotation_error:.2f} rad off"
+            )
         if self.reached:
             return ""
         words = {

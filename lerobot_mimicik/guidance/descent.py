@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from lerobot_mimicik.guidance.kinematics_kernels import (
+    nearest_turn,
     point_jacobian,
     pose_difference,
     tool_pose,
@@ -137,7 +138,7 @@ def evaluate(x, past, arm, goal, costs, bounds, derivatives, buffers):
     Fills `residuals` (T, 6), the weighted pose residuals.
     """
     chain, spheres, pairs, unit = arm
-    targets_rotation, targets_position, (weight, tolerance, tool_axes) = goal
+    targets_rotation, targets_position, (weight, tolerance, tool_axes, axis) = goal
     weights, posture, prior, prior_weight, zone, extra = costs
     step_rotations, step_positions, columns, prismatic, tool_rotation, tool_position = chain
     centres, radii, bodies = spheres
@@ -150,7 +151,7 @@ def evaluate(x, past, arm, goal, costs, bounds, derivatives, buffers):
             g[i] = 0.0
             for k in range(i + 1):
                 h[i, k] = 0.0
-    rotation, position = np.empty((3, 3)), np.empty(3)
+    rotation, position, nearest = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     error, row_scale = np.empty(6), np.empty(6)
     jacobian = np.empty((6, n))
     rows = np.empty((6, n))
@@ -159,7 +160,8 @@ def evaluate(x, past, arm, goal, costs, bounds, derivatives, buffers):
     for t in range(frames):
         walk(x[t], step_rotations, step_positions, columns, prismatic, frames_rotation, frames_position)
         tool_pose(frames_rotation, frames_position, tool_rotation, tool_position, rotation, position)
-        pose_difference(rotation, position, targets_rotation[t], targets_position[t], error)
+        nearest_turn(rotation, targets_rotation[t], axis, nearest)
+        pose_difference(rotation, position, nearest, targets_position[t], error)
         residual = residuals[t]
         weigh(error, targets_rotation[t], weight, tolerance, tool_axes, residual, row_scale)
         for k in range(6):
@@ -316,7 +318,7 @@ def descend(x, past, start, max_step, arm, goal, costs, bounds, iterations, damp
         start: That one.
         max_step: Bound on the steps (n,).
         arm: Chain, spheres, pairs of spheres and units of the joints.
-        goal: Rotations (T, 3, 3), positions (T, 3) and the task (weight, tolerance, whether axes are the tool's).
+        goal: Rotations (T, 3, 3), positions (T, 3) and the task, as `search.kernel_task` makes it.
         costs: Weights, posture (n,), prior (T, n) and its weight (T,), collision zone, and a quadratic of the user's.
         bounds: Lower and upper limits and margins (n,).
         iterations: most steps.
@@ -342,6 +344,8 @@ def descend(x, past, start, max_step, arm, goal, costs, bounds, iterations, damp
     cost = evaluate(x, past, arm, goal, costs, bounds, True, (h, g, rotations, positions, residuals))
     taken = 0
     fresh = True
+    # Where the pose is met, a pull along a self-motion bends off it: the residual damps nothing there, this does.
+    ridge = 0.0
     for _ in range(iterations):
         if not fresh:
             cost = evaluate(x, past, arm, goal, costs, bounds, True, (h, g, rotations, positions, residuals))
@@ -352,7 +356,7 @@ def descend(x, past, start, max_step, arm, goal, costs, bounds, iterations, damp
                 square += residuals[t, k] * residuals[t, k]
             for j in range(n):
                 i = t * n + j
-                h[i, i] += damping * square + 1e-9 * unit[j] * unit[j]
+                h[i, i] += damping * square + (ridge + 1e-9) * unit[j] * unit[j]
                 flat[i] = x[t, j]
                 if t == 0:
                     lo, hi = max(lower[j], start[j] - max_step[j]), min(upper[j], start[j] + max_step[j])
@@ -375,11 +379,15 @@ def descend(x, past, start, max_step, arm, goal, costs, bounds, iterations, damp
             cost = after
             taken += 1
             damping = max(damping / 4.0, 1e-6)
+            ridge /= 4.0
             fresh = False
             if done:
                 break
         else:
             damping *= 10.0
+            ridge = max(
+                4.0 * ridge, weights[VELOCITY] + weights[ACCELERATION] + weights[JERK] + weights[POSTURE]
+            )
             if damping > 1e6:
                 break
             fresh = False

@@ -30,6 +30,7 @@ from lerobot_mimicik.guidance.certificate import (
 from lerobot_mimicik.guidance.descent import keep_bounds
 from lerobot_mimicik.guidance.kinematics_kernels import judge, split_poses
 from lerobot_mimicik.guidance.model import ArmModel
+from lerobot_mimicik.guidance.orientation import free_axis, service, unserved_turn, within_leash
 from lerobot_mimicik.guidance.planner import Planner
 from lerobot_mimicik.guidance.search import closest_configuration, kernel_task
 from lerobot_mimicik.guidance.settings import GuidanceSettings
@@ -40,6 +41,10 @@ Array = NDArray[np.float64]
 _TRUSTED_M = 1e-3
 """Residual [m] of a prior's own command at which half of its weight is lost."""
 _PROGRESS = 0.5  # fraction of the way to the target that a trusted prior's command leaves, at most
+_MET = 5e-5  # m: a position that is off by more makes the orientation give way, where it comes second
+_TURN_BACK = 0.05  # of its weight that the orientation gets back in a frame that meets the position
+_FOLLOWED = 0.1  # rad: an orientation that is off by less, where the arm can turn its tool, is being followed
+_TURN_AWAY, _LEAST_TURNING = 0.93, 0.1  # what is left of its weight a frame otherwise, and at least
 _GUARD_HALVINGS = 12  # of the way from a start that is clear to a command that is not
 
 
@@ -82,6 +87,7 @@ class Guidance:
         model: The arm.
         settings: Weights, bounds and tolerances.
         terms: Costs of the user's own.
+        served: What the arm serves of a target.
     """
 
     def __init__(
@@ -89,19 +95,27 @@ class Guidance:
     ) -> None:
         self.model, self.settings, self.terms = model, settings or GuidanceSettings(), tuple(terms)
         given = self.settings
-        self._planner = Planner(model, given, terms)
-        self._task = kernel_task(model, given.task)
+        self.served = service(model, given)
+        self._planner = Planner(model, given, terms, self.served)
+        self._judged = self.served.judged
+        self._task = kernel_task(model, self._judged)
         self._step = np.full(model.dof, given.max_step)
         self._branch = BranchChange(
-            model, given.task, self.meets, given.branch_distance, given.branch_detour, given.collision_margin
+            model,
+            self._judged,
+            self.meets,
+            given.branch_distance,
+            given.branch_detour,
+            given.collision_margin,
         )
         self._past: Array | None = None
         self._plan: Array | None = None
+        self._turning = 1.0  # fraction of its weight that the orientation has, where the position comes first
 
     def reset(self, q: Array) -> None:
         """Forget the past: the arm is at rest at `q` (dof,)."""
         self._past = np.stack([np.asarray(q, dtype=float)] * 3)
-        self._plan = None
+        self._plan, self._turning = None, 1.0
         self._branch.cancel()
 
     def commanded(self, q: Array) -> None:
@@ -133,13 +147,11 @@ class Guidance:
         if upcoming is not None and len(upcoming):
             targets = np.concatenate([targets, upcoming[: self.settings.horizon - 1]])
         rotations, positions = split_poses(targets)
+        if self.served.position_first:
+            rotations = within_leash(self.model, past[2], rotations)
         proposed, trust = self._trusted(past[2], rotations[0], positions[0], target, prior)
-        if len(targets) == 1:
-            plan, cost = self._planner.one_frame(past, rotations, positions, proposed, trust)
-            self._plan = None
-        else:
-            plan, cost = self._planner.look_ahead(self._plan, past, rotations, positions, proposed, trust)
-            self._plan = plan
+        plan, cost = self._planned(past, rotations, positions, proposed, trust, target)
+        self._plan = plan if len(targets) > 1 else None
         q = self._kept_clear(past[2], plan[0])
         source = "prior" if trust > 0.5 else "guided"
         certificate = self._certify(past[2], q, target, source)
@@ -148,11 +160,36 @@ class Guidance:
             and certificate.closest is not None
             and not self._reached_errors(certificate)
         ):
-            closest = closest_configuration(self.model, past[2], target, self.settings.task)
+            closest = closest_configuration(self.model, past[2], target, self._judged)
             goal = self._branch.look(past[2], closest, target, upcoming)
             if goal is not None:
                 return self._on_the_way(past, goal, target)
         return self._remembered(past, Solution(q, certificate, plan, cost, trust, False))
+
+    def _planned(
+        self, past: Array, rotations: Array, positions: Array, proposed: Array, trust: float, target: Array
+    ) -> tuple[Array, float]:
+        """The plan (T, dof) for known targets and its cost; an orientation that costs the position gives way."""
+
+        def planned(turning: float) -> tuple[Array, float]:
+            if len(rotations) == 1:
+                return self._planner.one_frame(past, rotations, positions, proposed, trust, turning)
+            return self._planner.look_ahead(self._plan, past, rotations, positions, proposed, trust, turning)
+
+        if not self.served.position_first:
+            return planned(1.0)
+        plan, cost = planned(self._turning)
+        missed = math.hypot(*self._left_over(plan[0], target)[:3])
+        if missed <= _MET:
+            if unserved_turn(self.model, plan[0], rotations[0]) < _FOLLOWED:
+                self._turning = min(1.0, self._turning + _TURN_BACK)
+            else:
+                # Out of the joints' limits or still far: what pulls for long must not fold the arm up against them.
+                self._turning = max(_LEAST_TURNING, _TURN_AWAY * self._turning)
+            return plan, cost
+        self._turning *= 0.5
+        other = planned(0.0)
+        return other if math.hypot(*self._left_over(other[0][0], target)[:3]) < missed else (plan, cost)
 
     # ---- prior --------------------------------------------------------------------------------------------------
 
@@ -228,14 +265,18 @@ class Guidance:
         why: _Why = (Reason.NONE, (), None, None) if reached else self._why(start, q, target, pair, gap)
         reason, names, bodies, closest = why
         value = smallest_singular(model, q)[0] if not reached else np.nan
+        free = None
+        if self.served.position_first and rotation_error > self.settings.rotation_tolerance:
+            axis = free_axis(model, q)
+            free = None if axis is None else (float(axis[0]), float(axis[1]), float(axis[2]))
         return Certificate(
             reached, reason, names, bodies, position_error, rotation_error, tuple(left.tolist()), closest, margin,
-            gap, value, source,
+            gap, value, source, free,
         )  # fmt: skip
 
     def _why(self, start: Array, q: Array, target: Array, pair: int, gap: float) -> _Why:
         model, joints = self.model, self.model.description.joint_names
-        there = closest_configuration(model, start, target, self.settings.task)
+        there = closest_configuration(model, start, target, self._judged)
         closest = self._errors(there, target)
         bound = np.abs(q - start) >= self.settings.max_step * (1 - 1e-6)
         # Collisions are the reason where the arm is as close to itself as it may come.

@@ -112,6 +112,55 @@ def pose_difference(rotation, position, target_rotation, target_position, error)
 
 
 @_jit
+def nearest_turn(rotation, target_rotation, axis, goal):
+    """Fill `goal` (3, 3): the target's rotation, turned about its own `axis` (3,) to be nearest to R; zeros turn nothing.
+
+    The turn by phi that makes trace(R^T R_target Rot(axis, phi)) largest.
+    """
+    x, y, z = axis
+    for a in range(3):
+        for b in range(3):
+            goal[a, b] = target_rotation[a, b]
+    if x == 0.0 and y == 0.0 and z == 0.0:
+        return
+    m = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            m[a, b] = (
+                rotation[0, a] * target_rotation[0, b]
+                + rotation[1, a] * target_rotation[1, b]
+                + rotation[2, a] * target_rotation[2, b]
+            )
+    along = 0.0
+    for a in range(3):
+        for b in range(3):
+            along += axis[a] * m[a, b] * axis[b]
+    cosine = m[0, 0] + m[1, 1] + m[2, 2] - along
+    sine = x * (m[1, 2] - m[2, 1]) + y * (m[2, 0] - m[0, 2]) + z * (m[0, 1] - m[1, 0])
+    size = math.sqrt(sine * sine + cosine * cosine)
+    if size < 1e-9:
+        return
+    sine, cosine = sine / size, cosine / size
+    turn = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            turn[a, b] = (1.0 - cosine) * axis[a] * axis[b] + (cosine if a == b else 0.0)
+    turn[0, 1] -= sine * z
+    turn[0, 2] += sine * y
+    turn[1, 0] += sine * z
+    turn[1, 2] -= sine * x
+    turn[2, 0] -= sine * y
+    turn[2, 1] += sine * x
+    for a in range(3):
+        for b in range(3):
+            goal[a, b] = (
+                target_rotation[a, 0] * turn[0, b]
+                + target_rotation[a, 1] * turn[1, b]
+                + target_rotation[a, 2] * turn[2, b]
+            )
+
+
+@_jit
 def weigh(error, target_rotation, weight, tolerance, tool_axes, residual, row_scale):
     """Dead zone and weight per axis: fills `residual` (6,) and `row_scale` (6,), the factor of its Jacobian's row.
 
@@ -187,7 +236,7 @@ def pose_and_jacobian(q, chain):
 
 
 @_jit
-def judge(q, target, chain, weight, tolerance, tool_axes):
+def judge(q, target, chain, weight, tolerance, tool_axes, axis):
     """What a configuration leaves of a target (7,).
 
     Returns:
@@ -201,10 +250,13 @@ def judge(q, target, chain, weight, tolerance, tool_axes):
     tool_pose(rotations, positions, tool_rotation, tool_position, rotation, position)
     rotation_of(target[3:], goal)
     error, left, scale, counted = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
-    pose_difference(rotation, position, goal, target[:3], error)
+    nearest = np.empty((3, 3))
+    nearest_turn(rotation, goal, axis, nearest)
+    pose_difference(rotation, position, nearest, target[:3], error)
     for k in range(6):
         counted[k] = 1.0 if weight[k] > 0.0 else 0.0
     weigh(error, goal, counted, tolerance, tool_axes, left, scale)
+    pose_difference(rotation, position, goal, target[:3], error)
     distance = math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
     angle = math.sqrt(error[3] ** 2 + error[4] ** 2 + error[5] ** 2)
     return left, distance, angle

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 _LEVER = 0.13
 """Metres per radian as a fraction of the reach: a tool turned by 1 rad counts like one moved by that far. 0.1 m on an
 arm with 0.76 m of reach."""
+_COLUMN = (
+    0.25  # of the arm beyond the first joint: more of what lies before that joint does not count as reach
+)
 _SLIDE = 0.5
 """A sliding joint that moves by this fraction of the reach counts like one that turns by 1 rad."""
 
@@ -44,7 +47,9 @@ class ArmModel:
         joints = description.joints()
         self.lower = np.array([joint.lower for joint in joints], dtype=float)
         self.upper = np.array([joint.upper for joint in joints], dtype=float)
-        self.reach = max(chain.stretched_length(0), 1e-6)
+        arm = chain.stretched_length(1)
+        # A column that the arm stands on is no part of it.
+        self.reach = max(arm + min(chain.stretched_length(0) - arm, _COLUMN * arm), 1e-6)
         self.lever = _LEVER * self.reach
         sliding = np.array([joint.type == "prismatic" for joint in joints])
         self.unit = np.where(sliding, 1.0 / (_SLIDE * self.reach), 1.0)

@@ -18,10 +18,13 @@ _GAIN = 1e-4  # a step that gains less of the squared error ends the descent
 NO_EXTRA = (np.zeros((0, 0)), np.zeros(0), np.zeros(0))
 
 
-def kernel_task(model: ArmModel, task: PoseTask) -> tuple[Array, Array, bool]:
-    """A task's weights with rotations by the arm's lever, its tolerances, and whether axes are the tool's."""
+KernelTask = tuple[Array, Array, bool, Array]
+
+
+def kernel_task(model: ArmModel, task: PoseTask) -> KernelTask:
+    """A task's weights with rotations by the arm's lever, its tolerances, whether axes are the tool's, and its axis."""
     weight = np.array(task.weight) * np.repeat([1.0, model.lever], 3)
-    return weight, np.array(task.tolerance), task.frame == "tool"
+    return weight, np.array(task.tolerance), task.frame == "tool", np.array(task.axis)
 
 
 def closest_configuration(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from numbers import Integral, Real
 from typing import Any, Self
@@ -14,8 +14,43 @@ from lerobot_mimicik.kinematics.names import did_you_mean
 
 Array = NDArray[np.float64]
 
+_AXES = ("x", "y", "z", "-x", "-y", "-z")
+ORIENTATIONS = ("auto", "full", "ranged", "axis", "position")
+"""How the orientation of a target counts; see `GuidanceSettings`."""
 # What a damaged checkpoint may ask for at most: arms need a few iterations, policies answer with 100 frames or so.
 _MOST = {"iterations": 100, "horizon": 1000}
+
+
+def named_axis(axis: str | tuple[float, ...]) -> tuple[float, ...]:
+    """A tool axis as a unit vector (3,): x, y, z, -x, -y, -z, or three numbers."""
+    if isinstance(axis, str):
+        sign = -1.0 if axis.startswith("-") else 1.0
+        return tuple(sign * float(axis[-1] == letter) for letter in "xyz")
+    return _axis("tool_axis", axis)
+
+
+def _check_axis_name(name: str) -> None:
+    if name not in _AXES:
+        raise ValueError(f"tool_axis={name!r}: expected {', '.join(_AXES)}, or three numbers")
+
+
+def _axis(name: str, values: Sequence[float]) -> tuple[float, ...]:
+    """A unit vector (3,), or zeros as they are."""
+    numbers = _numbers(name, values)
+    if len(numbers) != 3:
+        raise ValueError(f"{name}: expected 3 numbers, found {len(numbers)}")
+    length = float(np.linalg.norm(numbers))
+    return tuple(value / length for value in numbers) if length > 1e-9 else (0.0, 0.0, 0.0)
+
+
+def _numbers(name: str, values: Sequence[float]) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        numbers = (np.nan,)
+    if not all(np.isfinite(numbers)):
+        raise ValueError(f"{name}={values!r}: expected finite numbers")
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -26,13 +61,17 @@ class PoseTask:
         weight: Of translation x y z and rotation x y z, 6 numbers; 0 leaves an axis free.
         tolerance: How far each axis may be off at no cost [m, rad], 6 numbers.
         frame: `base`, or `tool` for axes of the target's own frame.
+        axis: An axis of the tool (3 numbers) that must point right while the tool may turn about it; zeros: none, every
+            turn counts.
     """
 
     weight: tuple[float, ...] = (1.0,) * 6
     tolerance: tuple[float, ...] = (0.0,) * 6
     frame: str = "base"
+    axis: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "axis", _axis("axis", self.axis))
         for name in ("weight", "tolerance"):
             values = tuple(float(value) for value in getattr(self, name))
             if len(values) != 6 or not all(np.isfinite(values)) or min(values) < 0:
@@ -78,6 +117,11 @@ class GuidanceSettings:
         branch_detour: How much further from the target than by staying the tool may come meanwhile [m].
         iterations: Most descent steps per pass.
         task: Which part of a target counts.
+        orientation: How the orientation counts: `full`, with its weight beside the position's; `ranged`, the position is
+            met exactly and the orientation as far as it goes; `axis`, only the direction of `tool_axis` counts; `position`,
+            not at all; `auto`, `full` where the arm serves every direction, else `ranged`.
+        tool_axis: Axis of the tool that points right with `axis`: x, y, z, -x, -y, -z, or three numbers.
+        posture_joints: The posture (dof,) [rad, m] that spare joints are pulled to; empty: the arm's home.
     """
 
     max_step: float = 0.095
@@ -103,10 +147,25 @@ class GuidanceSettings:
     branch_detour: float = 0.02
     iterations: int = 6
     task: PoseTask = PoseTask()
+    orientation: str = "auto"
+    tool_axis: str | tuple[float, ...] = "z"
+    posture_joints: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if isinstance(self.task, Mapping):  # read from JSON
             object.__setattr__(self, "task", PoseTask.of(self.task))
+        if self.orientation not in ORIENTATIONS:
+            raise ValueError(
+                f"orientation={self.orientation!r}: expected {' or '.join(ORIENTATIONS)}."
+                + did_you_mean(str(self.orientation), ORIENTATIONS)
+            )
+        if isinstance(self.tool_axis, str):
+            _check_axis_name(self.tool_axis)
+        else:
+            object.__setattr__(self, "tool_axis", _axis("tool_axis", self.tool_axis))
+            if not any(self.tool_axis):
+                raise ValueError("tool_axis: three zeros are no direction")
+        object.__setattr__(self, "posture_joints", _numbers("posture_joints", self.posture_joints))
         positive = (
             "max_step",
             "position_tolerance",
@@ -117,7 +176,7 @@ class GuidanceSettings:
         )
         for each in fields(self):
             value: Any = getattr(self, each.name)
-            if each.type in ("str", "PoseTask"):
+            if each.type in ("str", "PoseTask") or "tuple" in str(each.type):
                 continue
             number: Any = Integral if each.type == "int" else Real
             if isinstance(value, bool) or not isinstance(value, number):
