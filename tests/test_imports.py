@@ -43,7 +43,7 @@ ALLOWED = {
     "airbot": {"kinematics", "clock", "can"},
     "simulation": {"kinematics"} | _DRIVER,
     "robots": {"kinematics", "configuration", "adapters", "simulation"} | _DRIVER,
-    "robots_cli": _LEARNING | {"cli", "adapters", "simulation"} | _DRIVER,
+    "robots_cli": _LEARNING | {"cli", "adapters", "simulation", "robots"} | _DRIVER,
     "plugin": {"configuration", "robots"},
 }
 

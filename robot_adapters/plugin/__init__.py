@@ -10,7 +10,8 @@ import lerobot_mimicik.configuration_mimicik  # noqa: F401
 import robot_adapters.robots.config_airbot_play
 import robot_adapters.robots.config_mimicik_ee
 import robot_adapters.robots.config_mimicik_sim
-import robot_adapters.robots.config_recorded_motion  # noqa: F401
+import robot_adapters.robots.config_recorded_motion
+import robot_adapters.robots.config_terminal_keyboard  # noqa: F401
 from robot_adapters.robots.short_names import claim_short_names
 
 claim_short_names()

@@ -13,6 +13,7 @@ _HOMES = {
     "MimicIKEE": "mimicik_ee",
     "MimicIKSim": "mimicik_sim",
     "RecordedMotion": "recorded_motion",
+    "TerminalKeyboard": "terminal_keyboard",
 }
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+import draccus
 from lerobot.robots.config import RobotConfig
 
 from lerobot_mimicik.configuration_reasons import reasons_for_users
@@ -61,6 +63,21 @@ def _of_type(config: type, name: str) -> type:
     """The same configuration, that remembers which of its types was asked for."""
     body = {"get_choice_name": classmethod(lambda cls, subcls: name), "__module__": config.__module__}
     return type(config.__name__, (config,), body)
+
+
+@dataclass
+class _Inside:
+    robot: JointRobot
+
+
+def parse_joint_robot(options: Sequence[str], prog: str) -> RobotConfig:
+    """The robot in joint space that options such as `--robot.type=so101_follower --robot.port=...` describe.
+
+    Raises:
+        draccus.utils.DraccusException: a value that is none; SystemExit for an option that does not exist.
+    """
+    robot: Any = draccus.parse(_Inside, args=list(options), prog=prog).robot
+    return robot
 
 
 @RobotConfig.register_subclass("mimicik_ee")

@@ -37,6 +37,9 @@ class MimicIKSimConfig(RobotConfig):
     real_time: bool = True
     # real_time=false: actions in a second of simulated time.
     fps: int = 30
+    # Show the arm on a page in the browser (extra play), at this port or the next free one.
+    view: bool = False
+    view_port: int = 8080
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from functools import cached_property
@@ -13,13 +14,16 @@ from lerobot.robots.robot import Robot
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
+from robot_adapters.arm_page import ArmPage
 from robot_adapters.robots.config_mimicik_sim import MimicIKSimConfig
 from robot_adapters.robots.spelling import own_keys
 from robot_adapters.robots.units import JointUnits
 from robot_adapters.simulation.servo_arm import ServoArm, ServoParameters
 
+_log = logging.getLogger(__name__)
 GRIPPER = "gripper.pos"
 _OPEN = 50.0  # of 0 to 100, where the gripper starts
+_FRAME = 1 / 30  # s between two pictures on the page
 _MOST_CATCH_UP = (
     0.5  # s that pass at once after the process was held up: the arm has long come to rest by then
 )
@@ -54,7 +58,8 @@ class MimicIKSim(Robot):
         )
         self._units = JointUnits(config.joint_units, *self.ranges)
         self._gripper = self._gripper_target = _OPEN
-        self._seen = 0.0
+        self._seen = self._shown = 0.0
+        self._page: ArmPage | None = None
 
     @property
     def joint_keys(self) -> list[str]:
@@ -99,6 +104,9 @@ class MimicIKSim(Robot):
             self.servos = ServoArm(
                 self.description, self.config.start or None, self._parameters, self.config.seed
             )
+            if self.config.view:
+                self._page = ArmPage(self.description, self.config.view_port)
+                _log.warning("%s is shown at %s", self.config.arm, self._page.address)
             for camera in self.cameras.values():
                 camera.connect()
         except BaseException:
@@ -114,6 +122,9 @@ class MimicIKSim(Robot):
 
     def _close(self) -> None:
         self.servos = None
+        if self._page is not None:
+            self._page.close()
+            self._page = None
         for camera in self.cameras.values():
             if camera.is_connected:
                 camera.disconnect()
@@ -124,6 +135,7 @@ class MimicIKSim(Robot):
         assert self.servos is not None
         if self.config.real_time:
             self._let_time_pass()
+        self._show()
         measured = self._positions(self.servos.measure(), self._gripper)
         return measured | {name: camera.async_read() for name, camera in self.cameras.items()}
 
@@ -154,6 +166,11 @@ class MimicIKSim(Robot):
         if not self.config.real_time:
             self._advance(1 / self.config.fps)
         return self._positions(sent, self._gripper_target)
+
+    def _show(self) -> None:
+        if self._page is not None and self.servos is not None and time.monotonic() - self._shown > _FRAME:
+            self._shown = time.monotonic()
+            self._page.show(self.servos.q)
 
     def _let_time_pass(self) -> None:
         now = time.monotonic()
