@@ -1,5 +1,7 @@
 """Any arm simulated as a LeRobot robot: units, lag, sag, noise, time, and errors that name the thing."""
 
+from urllib.request import urlopen
+
 import lerobot_policy_mimicik  # noqa: F401 - registers the robots, as LeRobot's commands do
 import numpy as np
 import pytest
@@ -124,6 +126,17 @@ def test_limits_hold_and_errors_name_the_thing(connected):
             make_robot_from_config(MimicIKSimConfig(**options))
     with pytest.raises(ValueError, match="start: expected 6"):
         connected(start=[0.0])
+
+
+def test_it_is_shown_in_the_browser_while_it_is_connected(connected):
+    pytest.importorskip("viser")
+    robot = connected(view=True, view_port=18080)
+    robot.get_observation()
+    address = robot._page.address
+    assert urlopen(address).status == 200
+    robot.disconnect()
+    with pytest.raises(OSError, match="refused"):
+        urlopen(address)
 
 
 def test_units_there_and_back():

@@ -74,13 +74,13 @@ def test_files_that_are_named_exist(page):
 
 
 def commands(page: Path) -> Iterator[list[str]]:
-    """Every call of `mimicik`, `lerobot-train` or `lerobot-rollout` in a page's shell blocks and inline code."""
+    """Every call of `mimicik` or one of LeRobot's commands in a page's shell blocks, and of `mimicik` in inline code."""
     text = page.read_text(encoding="utf-8")
     shell = "\n".join(blocks(page, "bash")).replace("\\\n", " ")
     for line in [*shell.splitlines(), *re.findall(r"`((?:uv run )?mimicik [^`]+)`", text)]:
         words = shlex.split(line, comments=True)
         for start, word in enumerate(words):
-            if word in ("mimicik", "lerobot-train", "lerobot-rollout"):
+            if word == "mimicik" or word.startswith("lerobot-"):
                 yield words[start:]
                 break
 
@@ -105,16 +105,31 @@ def configuration(command: str) -> type:
     raise AssertionError(f"there is no command mimicik {command}")
 
 
+def is_robots_option(option: str) -> bool:
+    """Whether one of the robots here has an option, or, behind `arm.`, any robot that may be inside."""
+    import lerobot.scripts.lerobot_replay  # noqa: F401 - knows LeRobot's robots
+
+    from robot_adapters.robots.config_airbot_play import AirbotPlayEEConfig, BiAirbotPlayEEConfig
+    from robot_adapters.robots.config_mimicik_ee import JointRobot, MimicIKEEConfig
+    from robot_adapters.robots.config_mimicik_sim import MimicIKSimConfig
+
+    own = (AirbotPlayEEConfig, BiAirbotPlayEEConfig, MimicIKEEConfig, MimicIKSimConfig)
+    if option.startswith("arm."):
+        option, own = option.removeprefix("arm."), tuple(JointRobot.get_known_choices().values())
+    return any(has_option(config, option) for config in own)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_options_that_are_named_exist(page):
     from lerobot_mimicik.configuration_mimicik import MimicIKConfig
-    from robot_adapters.robots.config_airbot_play import AirbotPlayEEConfig, BiAirbotPlayEEConfig
 
     missing = []
     for program, *words in commands(page):
         options = [word[2:].partition("=")[0].replace("-", "_") for word in words if word.startswith("--")]
         if program == "mimicik" and words and not words[0].startswith("-"):
             config = configuration(words[0])
+            if words[0] == "calibrate":  # whose robot is LeRobot's
+                options = [option for option in options if not option.startswith("robot.")]
             options = [option for option in options if option not in ("help", "arm", "robot")]
             missing += [f"{words[0]} --{option}" for option in options if not has_option(config, option)]
         else:  # LeRobot's own options are LeRobot's; ours are those of policy and robot
@@ -122,7 +137,6 @@ def test_options_that_are_named_exist(page):
                 kind, _, rest = option.partition(".")
                 if kind == "policy" and rest not in ("path", "type", "push_to_hub", "repo_id"):
                     missing += [] if has_option(MimicIKConfig, rest) else [option]
-                if kind == "robot" and rest != "type":
-                    either = (AirbotPlayEEConfig, BiAirbotPlayEEConfig)
-                    missing += [] if any(has_option(config, rest) for config in either) else [option]
+                if kind == "robot" and rest not in ("type", "arm.type"):
+                    missing += [] if is_robots_option(rest) else [option]
     assert missing == []
