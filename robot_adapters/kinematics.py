@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.guidance.settings import PoseTask
 from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, ArmDescription, describe_arm
 from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.kinematics.urdf import read_urdf
@@ -61,8 +60,8 @@ class MimicIKKinematics:
 
     def make_adapter(self, orientation_weight: float = 0.01) -> MimicIKAdapter:
         """An adapter for the arm, to be kept; without orientation where its weight is zero."""
-        task = PoseTask() if orientation_weight else PoseTask(weight=(1.0, 1.0, 1.0, 0.0, 0.0, 0.0))
-        adapter = MimicIKAdapter(None, self.description, AdapterSettings(task=task))
+        settings = AdapterSettings(orientation="auto" if orientation_weight else "position")
+        adapter = MimicIKAdapter(None, self.description, settings)
         adapter.warm_up()
         return adapter
 

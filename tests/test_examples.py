@@ -54,6 +54,13 @@ def test_the_pictures_undamped_solver_jumps_and_the_guided_one_does_not(example,
     assert (tmp_path / "wrist.gif").stat().st_size > 1000
 
 
+def test_recordings_through_lerobots_replay_are_met_within_a_step(example):
+    for row in example("replay_recordings").main(("panda",), frames=60):
+        if row["robot"] == "mimicik_ee":
+            assert row["mean_mm"] < 0.1
+            assert row["largest_step_rad"] < 0.095
+
+
 def test_every_example_is_tested():
     tested = Path(__file__).read_text()
     assert [path.stem for path in FOLDER.glob("*.py") if f'"{path.stem}"' not in tested] == []
