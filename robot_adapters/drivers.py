@@ -21,7 +21,8 @@ class Driver:
 
     Attributes:
         arm: An `Arm` made of interface, channel, `clock` and `handle_signals`.
-        cell: A `SimulatedArmCell` made of a clock, `q`, `seed` and `handle_signals`; empty: there is none.
+        cell: A `SimulatedArmCell` made of a clock, `q` [rad], `payload` [kg], `seed` and `handle_signals`; empty:
+            there is none.
         checks: `ArmChecks` made of interface, channel and clock; empty: there are none.
     """
 

@@ -169,13 +169,13 @@ def alarms(log, q):
     """When [s] which joint of a recorded arm contradicts its commands."""
     kp, kd = np.array(QUICK.kp), np.array(QUICK.kd)
     gravity, factors = GravityModel(DESCRIPTION), np.array(PlantParameters().torque_factors)
-    witness = TorqueWitness(DESCRIPTION.joint_names, log.q[0], [30.0] * 3 + [10.0] * 3)
+    witness = TorqueWitness(DESCRIPTION.joint_names, log.q[0], [30.0] * 3 + [10.0] * 3, QUICK.lag)
     motions = [MotionWitness(f"joint{joint}", -4.0, 4.0) for joint in range(6)]
     found = {}
     for i, now in enumerate(log.time):
         fresh = np.array([m.believes(a, v, now) for m, a, v in zip(motions, q[i], log.dq[i], strict=True)])
-        steady = np.array([motion.steady(now) for motion in motions])
-        for joint in witness.judge(now, q[i], log.dq[i], log.torque[i], fresh, steady):
+        late = np.array([motion.lateness(now) for motion in motions])
+        for joint in witness.judge(now, q[i], log.dq[i], log.torque[i], fresh, late):
             found.setdefault(joint, now)
         for joint, motion in enumerate(motions):
             if motion.objection:

@@ -29,6 +29,7 @@ class AirbotSettings(LoopSettings):
     kp: tuple[float, ...] = (100.0, 100.0, 100.0, 20.0, 20.0, 20.0)
     kd: tuple[float, ...] = (3.0, 3.0, 3.0, 1.0, 1.0, 1.0)
     final_damping: tuple[float, ...] = (10.0, 10.0, 10.0, 2.0, 2.0, 2.0)
+    lag: tuple[float, ...] = (0.108, 0.108, 0.108, 0.125, 0.125, 0.125)
     gripper_kp: float = GRIPPER_KP
     gripper_kd: float = GRIPPER_KD
     gripper_speed: float = 0.2

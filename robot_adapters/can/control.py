@@ -87,14 +87,14 @@ class ControlLoop:
         self.motors, self.dof = motors, len(gate.joint_names)
         self.limits = gate.limits
         known = [*np.asarray(q, dtype=float), *([] if gripper is None else [gripper_angle])]
-        self.table = FeedbackTable(motors, gate, known)
+        self.table = FeedbackTable(motors, gate, known, clock.monotonic())
         self.recorder = Recorder()
         self.mode = ArmMode.HOLD
         self.lock = threading.RLock()
         self._gravity, self._factors = gravity, np.asarray(factors, dtype=float)
         torque_ranges = np.array([m.torque_range.high for m in motors[: self.dof]])
         self._torque_limits = _TORQUE_SHARE * torque_ranges
-        self._witness = TorqueWitness(gate.joint_names, q, torque_ranges)
+        self._witness = TorqueWitness(gate.joint_names, q, torque_ranges, settings.lag or np.zeros(self.dof))
         speed = min(self.limits.max_step / self.limits.frame, self.limits.max_velocity)
         self._setpoint = Interpolator(q, speed)
         # A tick that comes late must not catch up in one step.
@@ -108,6 +108,7 @@ class ControlLoop:
         self._masters, self._modes = MasterWatch(motors), ModeWatch(motors)
         self._last_tick = clock.monotonic()
         self._let_go = False
+        self._doubted: dict[int, float] = {}  # where joints must be that report false angles [rad], by number
         self._resting = _resting_velocity(settings, self.dof)
         self._target_stamp = clock.monotonic()
         self._had_target = False
@@ -243,9 +244,10 @@ class ControlLoop:
             self.stop(ControllerFailure(detail))
 
     def _watch(self, now: float) -> None:
-        """Compare the motors' torques with the commands in force, which a stopped arm no longer follows."""
+        """Compare the motors' torques with the commands in force; joints in trouble no longer follow them."""
+        reasons = self._witness.judge(now, *self.table.joints(), *self.table.timely(now))
         if self.mode is not ArmMode.STOPPED:
-            self.table.distrust(self._witness.judge(now, *self.table.joints(), *self.table.timely(now)))
+            self.table.distrust(reasons)
 
     def _supervise(self, now: float, age: float, quietest: int) -> None:
         for event in self.table.troubles():
@@ -291,7 +293,14 @@ class ControlLoop:
         velocity = self._harmless(position, velocity * settings.velocity_feedforward)
         self._sent, self._sent_at = position, now
         measured = self.table.joints()[0]
-        torque = self._torque_scale * self._factors * self._gravity.torques(measured)
+        troubles = [self.table.records[motor.id].trouble(self.limits) for motor in self.motors[: self.dof]]
+        for joint, trouble in enumerate(troubles):
+            if isinstance(trouble, SensorFault):
+                # Its angle is false: a load carried by it would be carried wrongly.
+                self._doubted.setdefault(joint, float(self._witness.expected[joint]))
+        posture = measured.copy()
+        posture[list(self._doubted)] = list(self._doubted.values())
+        torque = self._torque_scale * self._factors * self._gravity.torques(posture)
         torque = np.clip(torque, -self._torque_limits, self._torque_limits)
         damping = settings.kd if self._damping is None else self._damping.tolist()
         # A joint that another master has moved away is not pulled back: it may let go of it any time.
@@ -303,7 +312,7 @@ class ControlLoop:
         laws = zip(position.tolist(), velocity.tolist(), torque.tolist(), damping, strict=True)
         for joint, (motor, (q, dq, tau, kd)) in enumerate(zip(self.motors[: self.dof], laws, strict=True)):
             kp = 0.0 if taken[joint] else self._gain_scale * settings.kp[joint]
-            trouble = self.table.records[motor.id].trouble(self.limits)
+            trouble = troubles[joint]
             if self._let_go:
                 dq = tau = kp = 0.0
             elif self.mode is ArmMode.STOPPED and trouble:

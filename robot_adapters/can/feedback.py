@@ -4,6 +4,7 @@ temperatures.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -98,17 +99,20 @@ class MotorRecord:
 class FeedbackTable:
     """The records of all motors of an arm, joints first, and what they say together."""
 
-    def __init__(self, motors: Sequence[Motor], gate: SafetyGate, positions: Sequence[float]) -> None:
+    def __init__(
+        self, motors: Sequence[Motor], gate: SafetyGate, positions: Sequence[float], now: float
+    ) -> None:
         """`motors` in joint order, the gripper's last; the first ones are the joints of `gate`.
 
-        `positions` [rad] are those read when the motors were started, known until they report.
+        `positions` [rad] are those read when the motors were started, just before `now` [s], known until they report.
         """
+        dof = len(gate.joint_names)
+        names = [*gate.joint_names, *(f"the gripper's motor {motor.id}" for motor in motors[dof:])]
+        lower = [*(gate.lower - _BEYOND_LIMITS), *(-math.inf for _ in motors[dof:])]
+        upper = [*(gate.upper + _BEYOND_LIMITS), *(math.inf for _ in motors[dof:])]
         witnesses = [
-            MotionWitness(name, lower - _BEYOND_LIMITS, upper + _BEYOND_LIMITS)
-            for name, lower, upper in zip(gate.joint_names, gate.lower, gate.upper, strict=True)
+            MotionWitness(*row, now) for row in zip(names, lower, upper, map(float, positions), strict=True)
         ]
-        dof = len(witnesses)
-        witnesses += [MotionWitness(f"the gripper's motor {motor.id}") for motor in motors[dof:]]
         self.records = {
             motor.id: MotorRecord(motor, float(position), witness=witness)
             for motor, position, witness in zip(motors, positions, witnesses, strict=True)
@@ -135,10 +139,10 @@ class FeedbackTable:
         for joint, reason in reasons.items():
             self._joints[joint].witness.object(reason)
 
-    def timely(self, now: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Which joints reported just now, and whose frames have lately come in time, each (dof,)."""
-        rows = np.array([(r.stamp == now, r.witness.steady(now)) for r in self._joints])
-        return rows[:, 0], rows[:, 1]
+    def timely(self, now: float) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Which joints reported just now, and by how much their frames may be late [s], each (dof,)."""
+        late = np.array([r.witness.lateness(now) for r in self._joints])
+        return np.array([r.stamp == now for r in self._joints]), late
 
     def oldest(self, now: float) -> tuple[float, int]:
         """Age [s] of the oldest feedback, the gripper's included, and its motor's id."""

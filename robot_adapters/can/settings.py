@@ -36,7 +36,9 @@ class LoopSettings:
     """How the control loop runs an arm.
 
     kp, kd: MIT gains per joint [Nm/rad, Nm s/rad]. final_damping: of the joints when all else is off
-    [Nm s/rad]. rate: control frequency [Hz]. velocity_feedforward: fraction of the interpolated velocity that
+    [Nm s/rad]. lag: time constant of each of the two first-order lags with which the motors follow commands,
+    dead time included [s], of which feedback may show all, half or none; empty for motors that follow at
+    once. rate: control frequency [Hz]. velocity_feedforward: fraction of the interpolated velocity that
     is commanded along with the position. gravity: in the base frame [m/s^2]. limits: of the safety gate.
     listen: how long the driver listens for another master before it sends anything [s]; the slowest that can
     keep motors with a timeout of half a second going sends at 2 Hz. motor_timeout: silence of the driver
@@ -47,6 +49,7 @@ class LoopSettings:
     kp: tuple[float, ...]
     kd: tuple[float, ...]
     final_damping: tuple[float, ...]
+    lag: tuple[float, ...] = ()
     rate: float = 250.0
     velocity_feedforward: float = 1.0
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)

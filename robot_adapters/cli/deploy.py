@@ -56,6 +56,8 @@ class DeployConfig:
     channel: str | None = None
     # interface=virtual: run in real time, or as fast as the computer can.
     real_time: bool = True
+    # interface=virtual: what the simulated arm carries at its tool [kg] without the driver's knowledge.
+    payload: float = 0.0
     # Joints that a step starts from: commanded (the command in force) or measured.
     reference: str = "commanded"
     # Frames after the present one that the solver is told of. 0: none, as where an operator or a policy gives one
@@ -122,6 +124,12 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     driver_of(config.arm)
     if config.look_ahead < 0:
         raise ValueError(f"--look_ahead={config.look_ahead}: expected a number of frames, 0 or more")
+    if not 0.0 <= config.payload <= 10.0:
+        raise ValueError(f"--payload={config.payload}: expected a mass in kg, 0 to 10")
+    if config.payload and config.interface != "virtual":
+        raise ValueError(
+            "--payload is for the simulated arm (--interface=virtual); a real one knows what it carries"
+        )
     if config.policy.path:
         find_checkpoint(config.policy.path)
         check_device(config.device)
@@ -263,6 +271,7 @@ def _drive(
                     config.arm,
                     clock,
                     q=trajectory.q[0],
+                    payload=config.payload,
                     seed=config.seed + number,
                     handle_signals=config.real_time,
                 )

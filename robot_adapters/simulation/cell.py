@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -37,15 +38,18 @@ class SimulatedCell:
         q: ArrayLike | None = None,
         settings: AirbotSettings | None = None,
         parameters: PlantParameters | None = None,
+        payload: float = 0.0,
         tool: Tool = Tool.G2,
         faults: Iterable[Fault] = (),
         seed: int = 0,
         listen: bool = False,
         **arm_options: Any,
     ) -> None:
-        """Arguments are those of `SimulatedArm` and `AirbotArm`; `listen` adds a `BusListener` as
-        `cell.listener`.
+        """Arguments are those of `SimulatedArm` and `AirbotArm`; `payload` [kg] takes the place of the
+        parameters'; `listen` adds a `BusListener` as `cell.listener`.
         """
+        if payload:
+            parameters = replace(parameters or PlantParameters(), payload=payload)
         self.clock: Clock = clock or SimulatedClock()
         self.channel = channel = f"airbot-cell-{next(_numbers)}"
         self._buses = [open_bus("virtual", channel)]

@@ -178,6 +178,8 @@ def random_fault(
         rate = float(random.uniform(0.05, 1.0))
         motor_id = motor_id if random.random() < 0.5 else None
         magnitude = float(random.uniform(0.002, 0.2)) if kind is FaultKind.DELAYED else 0.0
+    elif kind is FaultKind.SILENT_MOTOR:
+        motor_id = int(random.integers(1, 8))  # the gripper's too
     elif kind is FaultKind.MOTOR_ERROR:
         magnitude = float(random.choice(MOTOR_ERRORS["od" if motor_id in (1, 2, 3) else "dm"]))
         duration = math.inf

@@ -12,6 +12,7 @@ import numpy as np
 from robot_adapters.arm import DriverStatistics
 from robot_adapters.clock import Clock
 from robot_adapters.simulation.cell import SimulatedCell
+from robot_adapters.simulation.plant import PlantParameters
 
 _PERIOD = 0.05  # s between targets
 _STATM = Path("/proc/self/statm")
@@ -54,13 +55,20 @@ class SoakReport:
 
 
 def run_soak(
-    seconds: float = 600.0, samples: int = 30, seed: int = 0, clock: Clock | None = None
+    seconds: float = 600.0,
+    samples: int = 30,
+    seed: int = 0,
+    clock: Clock | None = None,
+    parameters: PlantParameters | None = None,
 ) -> SoakReport:
-    """Track smooth motion at 20 Hz for `seconds` of the cell's time, sampling the process `samples` times."""
+    """Track smooth motion at 20 Hz for `seconds` of the cell's time, sampling the process `samples` times.
+
+    `parameters` are those of the simulated arm, such as what it carries.
+    """
     random = np.random.default_rng(seed)
     amplitude, phase = random.uniform(0.05, 0.4, 6), random.uniform(0.0, 2 * np.pi, 6)
     taken: list[SoakSample] = []
-    with SimulatedCell(clock, seed=seed, listen=True) as cell:
+    with SimulatedCell(clock, seed=seed, listen=True, parameters=parameters) as cell:
         assert cell.listener is not None
         cell.arm.connect()
         start, home = cell.clock.monotonic(), cell.arm.read().q
