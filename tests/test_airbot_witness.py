@@ -96,6 +96,47 @@ def test_false_feedback_stops_the_arm_in_half_a_second_and_moves_nothing(cell, j
     assert np.max(np.abs(cell.simulation.q - rest)) < 0.03
 
 
+@pytest.mark.parametrize(
+    ("kind", "magnitude"), [(FaultKind.DRIFTING_ENCODER, 0.15), (FaultKind.DRIFTING_ENCODER, -0.15)]
+)
+def test_a_fast_arm_hides_no_drift(cell, kind, magnitude):
+    drive(cell, 0.6, amplitude=0.3, speed=6.0)
+    strike(cell, kind, 2, magnitude)
+    (when, event), *_ = drive(cell, 0.6, amplitude=0.3, speed=6.0)
+    assert (event.name, when < 0.5) == ("SensorFault", True)
+
+
+@pytest.mark.parametrize(("kind", "magnitude"), [(FaultKind.DRIFTING_ENCODER, 0.15), (FaultKind.SLIPPED_ZERO, 0.3)])
+@pytest.mark.parametrize(
+    "bus",
+    [
+        [Fault(FaultKind.DELAYED, None, rate=0.5, magnitude=0.02)],
+        [Fault(FaultKind.DROPPED, None, rate=0.1)],
+        [Fault(FaultKind.DUPLICATED, None, rate=0.5)],
+    ],
+    ids=["delayed", "dropped", "duplicated"],
+)
+def test_frames_that_come_unsteadily_hide_little(cell, bus, kind, magnitude):
+    cell.simulation.faults.faults += bus
+    drive(cell, 0.6)
+    strike(cell, kind, 2, magnitude)
+    (when, event), *_ = drive(cell, 0.6)
+    assert (event.name, when < 0.5) == ("SensorFault", True)
+
+
+@pytest.mark.parametrize(("kind", "magnitude"), [(FaultKind.DRIFTING_ENCODER, -0.15), (FaultKind.SLIPPED_ZERO, 0.3)])
+def test_an_arm_that_has_just_been_connected_is_watched(cell, kind, magnitude):
+    strike(cell, kind, 2, magnitude)
+    (when, event), *_ = drive(cell, 0.5, speed=3.0)
+    assert (event.name, when < 0.4) == ("SensorFault", True)
+
+
+def test_a_jump_between_start_up_and_the_first_frame_is_seen():
+    witness = MotionWitness("joint1", -3.0, 3.0, position=0.0, now=0.0)
+    assert not any(frames(witness, [0.4] * 5, start=TICK))
+    assert "joint1 reads 0.400 rad, 0.400 rad from its angle 4 ms before" in witness.objection
+
+
 @pytest.mark.parametrize("joint", [1, 5])
 def test_an_encoder_at_the_end_of_its_code_moves_no_joint_of_an_arm_at_rest(cell, joint):
     # It was believed after 32 ms, and holding "where the arm stands" drove the joint to its limit.
@@ -163,6 +204,22 @@ def test_a_real_arm_that_moves_raises_no_alarm_and_one_with_false_angles_does(na
     wrong[half:, moving] += 0.15 * (log.time[half:] - log.time[half])
     when = alarms(log, wrong)[moving]
     assert 0.0 < when - log.time[half] < 0.8
+
+
+@pytest.mark.parametrize("name", ["excitation_a.parquet", "excitation_b.parquet"])
+def test_torques_of_a_real_arm_tell_the_commands_that_it_was_sent_within_25_mrad(name):
+    log = load(name)
+    kp, kd = np.array(QUICK.kp), np.array(QUICK.kd)
+    witness = TorqueWitness(DESCRIPTION.joint_names, log.q[0], [30.0] * 3 + [10.0] * 3, QUICK.lag)
+    feed_forward = np.array(PlantParameters().torque_factors) * [GravityModel(DESCRIPTION).torques(q) for q in log.q]
+    acted_on = log.q[1:] + (log.torque[1:] - feed_forward[:-1] + kd * log.dq[1:]) / kp
+    expected = []
+    for i, now in enumerate(log.time[1:], 1):
+        witness.command(log.q_commanded[i - 1], log.dq_commanded[i - 1], feed_forward[i - 1], kp, kd)
+        witness.judge(now, log.q[i], log.dq[i], log.torque[i], np.ones(6, bool), np.zeros(6))
+        expected.append(witness.expected)
+    began = log.time[1:] > log.time[0] + 1.0  # the commands before the log are unknown
+    assert np.abs(acted_on - expected)[began].max() < 0.025
 
 
 def alarms(log, q):
