@@ -106,7 +106,9 @@ def test_a_fast_arm_hides_no_drift(cell, kind, magnitude):
     assert (event.name, when < 0.5) == ("SensorFault", True)
 
 
-@pytest.mark.parametrize(("kind", "magnitude"), [(FaultKind.DRIFTING_ENCODER, 0.15), (FaultKind.SLIPPED_ZERO, 0.3)])
+@pytest.mark.parametrize(
+    ("kind", "magnitude"), [(FaultKind.DRIFTING_ENCODER, 0.15), (FaultKind.SLIPPED_ZERO, 0.3)]
+)
 @pytest.mark.parametrize(
     "bus",
     [
@@ -124,7 +126,9 @@ def test_frames_that_come_unsteadily_hide_little(cell, bus, kind, magnitude):
     assert (event.name, when < 0.5) == ("SensorFault", True)
 
 
-@pytest.mark.parametrize(("kind", "magnitude"), [(FaultKind.DRIFTING_ENCODER, -0.15), (FaultKind.SLIPPED_ZERO, 0.3)])
+@pytest.mark.parametrize(
+    ("kind", "magnitude"), [(FaultKind.DRIFTING_ENCODER, -0.15), (FaultKind.SLIPPED_ZERO, 0.3)]
+)
 def test_an_arm_that_has_just_been_connected_is_watched(cell, kind, magnitude):
     strike(cell, kind, 2, magnitude)
     (when, event), *_ = drive(cell, 0.5, speed=3.0)
@@ -211,7 +215,9 @@ def test_torques_of_a_real_arm_tell_the_commands_that_it_was_sent_within_25_mrad
     log = load(name)
     kp, kd = np.array(QUICK.kp), np.array(QUICK.kd)
     witness = TorqueWitness(DESCRIPTION.joint_names, log.q[0], [30.0] * 3 + [10.0] * 3, QUICK.lag)
-    feed_forward = np.array(PlantParameters().torque_factors) * [GravityModel(DESCRIPTION).torques(q) for q in log.q]
+    feed_forward = np.array(PlantParameters().torque_factors) * [
+        GravityModel(DESCRIPTION).torques(q) for q in log.q
+    ]
     acted_on = log.q[1:] + (log.torque[1:] - feed_forward[:-1] + kd * log.dq[1:]) / kp
     expected = []
     for i, now in enumerate(log.time[1:], 1):

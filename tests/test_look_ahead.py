@@ -217,7 +217,7 @@ def near_singular(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize("ahead", [0, 7])
 def test_deploy_needs_no_checkpoint_and_tracks_through_singularities(near_singular, tmp_path, ahead):
-    options = ["--real_time=false", f"--look_ahead={ahead}", f"--out={tmp_path}"]
+    options = ["--real_time=false", f"--look_ahead={ahead}", "--payload=1.0", f"--out={tmp_path}"]
     assert main(["deploy", f"--dataset.root={near_singular}", *options]) == 0
     (row,) = json.loads((tmp_path / "report.json").read_text())["rows"]
     assert row["solver"] == ("guided_ahead" if ahead else "guided")
@@ -229,6 +229,14 @@ def test_deploy_needs_no_checkpoint_and_tracks_through_singularities(near_singul
     assert summary["ik"]["look_ahead"] == ahead
 
 
-def test_deploy_names_a_look_ahead_that_is_none(tmp_path, capsys):
-    assert main(["deploy", "--look_ahead=-1", f"--out={tmp_path}"]) != 0
-    assert "--look_ahead=-1" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--look_ahead=-1"], "--look_ahead=-1"),
+        (["--payload=-1"], "--payload=-1.0: expected a mass in kg"),
+        (["--payload=1", "--interface=socketcan"], "--payload is for the simulated arm"),
+    ],
+)
+def test_deploy_names_an_option_that_does_not_fit(tmp_path, capsys, options, reason):
+    assert main(["deploy", *options, f"--out={tmp_path}"]) != 0
+    assert reason in capsys.readouterr().err
