@@ -189,7 +189,8 @@ def test_a_robot_can_be_told_which_poses_follow(targets, tmp_path):
     robot = AirbotPlayEE(config)
     adapter = fresh()
     poses = [
-        dict(zip(robot.pose_keys, robot.face.frames.to_policy(each).tolist(), strict=True)) for each in targets
+        dict(zip(robot.pose_keys, robot.face.frames.to_policy(each).tolist(), strict=True))
+        for each in targets
     ]
     robot.connect()
     try:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lerobot_mimicik.data.teleoperation.hand_motion import sample_style
-from lerobot_mimicik.data.teleoperation.scene import Scene
+from lerobot_mimicik.data.teleoperation.scene import ILL_CONDITIONED, Scene
 from lerobot_mimicik.data.teleoperation.singularities import KINDS, NEAR
 from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, describe_arm
 
@@ -31,12 +31,14 @@ def test_places_are_reached_by_their_joints_and_free(scene, seed):
 
 def test_every_kind_of_singularity_is_known_and_free(scene):
     # Arms of other kinds lack some: a wrist of two joints has no singularity of its own.
-    assert set(scene.singular) <= set(KINDS)
+    assert set(scene.singular) <= set(KINDS) or set(scene.singular) == {ILL_CONDITIONED}
+    assert scene.singular
     if scene.description.urdf.count("airbot_play") or scene.description.urdf.count("piper_sdk"):
         assert tuple(scene.singular) == KINDS
     for kind, q in scene.singular.items():
         assert len(q) >= 10
-        assert scene.gauge(q)[kind].max() < 0.02
+        if kind in KINDS:
+            assert scene.gauge(q)[kind].max() < 0.02
         assert scene.arm.free(q).all()
         assert np.all((q > scene.arm.lower) & (q < scene.arm.upper))
 

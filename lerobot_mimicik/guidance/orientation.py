@@ -24,6 +24,7 @@ _SERVED = 0.05
 """Of the largest singular value: an arm serves a direction in which it moves by so much somewhere (six-joint arms by 0.13
 and more; the SO-101 turns its gripper to the side by 0.02, about the jaw's offset from the roll axis)."""
 _LOST = 1e-3  # of the largest singular value: below that a direction is none of the arm's where it stands
+_NEARLY = 1.0 + 2.0 * np.cos(0.05)  # trace of a turn by 0.05 rad: less needs no telling what of it is served
 _LEASH = 0.3  # rad: further off than that an orientation pulls no more
 _SECOND = 0.4
 """Weight of the orientation where the position comes first: what the last pass has to take back stays small (a tenth of
@@ -84,8 +85,11 @@ def free_axis(model: ArmModel, q: Array) -> Array | None:
 def unserved_turn(model: ArmModel, q: Array, target: Array) -> float:
     """How far the tool at `q` is turned from a target's rotation (3, 3), the axis that is not served left out [rad]."""
     rotation, _, _ = pose_and_jacobian(q, model.chain)
-    error = Rotation.from_matrix(rotation.T @ target).as_rotvec()
-    axis = free_axis(model, q) if np.linalg.norm(error) > 1e-3 else None
+    turn = rotation.T @ target
+    if np.trace(turn) > _NEARLY:
+        return float(np.arccos(min(1.0, 0.5 * (np.trace(turn) - 1.0))))
+    error = Rotation.from_matrix(turn).as_rotvec()
+    axis = free_axis(model, q)
     return float(np.linalg.norm(error if axis is None else error - axis * (axis @ error)))
 
 
@@ -95,10 +99,11 @@ def within_leash(model: ArmModel, q: Array, rotations: Array) -> Array:
     What an arm cannot serve may be off by half a turn; followed all at once it would drag the tool off its place.
     """
     rotation, _, _ = pose_and_jacobian(q, model.chain)
-    error = Rotation.from_matrix(rotations[0] @ rotation.T).as_rotvec()
-    angle = float(np.linalg.norm(error))
+    turn = rotations[0] @ rotation.T
+    angle = float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
     if angle <= _LEASH:
         return rotations
+    error = Rotation.from_matrix(turn).as_rotvec()
     back = Rotation.from_rotvec(error * (_LEASH / angle - 1.0)).as_matrix()
     return np.ascontiguousarray(back @ rotations)
 

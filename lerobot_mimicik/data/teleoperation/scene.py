@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.data.arm_arrays import ArmArrays, Array
 from lerobot_mimicik.data.teleoperation.hand_motion import OperatorStyle
-from lerobot_mimicik.data.teleoperation.hand_tracking import solve_poses
+from lerobot_mimicik.data.teleoperation.hand_tracking import solve_poses, weighted
 from lerobot_mimicik.data.teleoperation.singularities import KINDS, NEAR, SingularityGauge, find_singular
 from lerobot_mimicik.kinematics.arms import ArmDescription
 
@@ -17,6 +17,8 @@ PAPER_WORKSPACE_M = (0.43, 0.40, 0.23)
 PAPER_REACH_M = 0.65
 _FURTHEST_FROM_HOME_RAD = 2.0  # everyday configurations stay on the home posture's side of the joint space
 _SINGULAR_POOL = 40
+ILL_CONDITIONED = "ill-conditioned"
+"""The kind of the configurations that stand for singular ones on an arm that has none within its limits."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ class Scene:
         description: the arm.
         gauge_scale: scales of the singularity gauge by kind.
         reach_m: how far the tool gets from the middle of all it can reach [m].
-        singular: singular configurations by kind, (n, dof); kinds that the arm does not have are absent.
+        singular: singular configurations by kind, (n, dof); kinds that the arm does not have are absent. An arm with none
+            (joints to spare, narrow limits) has its worst conditioned ones instead, as `ILL_CONDITIONED`.
         arm, gauge: its kinematics and its singularity gauge.
         workspace: extent of the box in which operators work, about the home pose [m], (3,).
         home_pose: T_base_tool of the home configuration, (4, 4).
@@ -82,6 +85,8 @@ class Scene:
             found = scene._singular_pool(kind, rng)
             if len(found):
                 scene.singular[kind] = found
+        if not scene.singular:
+            scene.singular[ILL_CONDITIONED] = scene._ill_conditioned(rng)
         return scene
 
     def places(self, style: OperatorStyle, rng: np.random.Generator, least: int = 16) -> Places:
@@ -127,16 +132,31 @@ class Scene:
         """Singular configurations of one kind, the closest to home first, no two nearly alike."""
         arm = self.arm
         start = arm.home + rng.normal(size=(320, len(arm.home))) * 0.6
-        found = find_singular(self.gauge, kind, start)
-        margin = 0.1
-        inside = np.all((found > arm.lower + margin) & (found < arm.upper - margin), axis=1)
-        found = found[inside]
-        found = found[self.arm.free(found)] if len(found) else found
+        found = self._usable(find_singular(self.gauge, kind, start))
         found = found[np.argsort(np.linalg.norm(found - arm.home, axis=1), kind="stable")]
+        return self._unlike(found)
+
+    def _ill_conditioned(self, rng: np.random.Generator) -> Array:
+        """Configurations about home with the smallest singular values of the Jacobian first, no two nearly alike."""
+        arm = self.arm
+        start = arm.home + rng.normal(size=(2000, len(arm.home))) * 0.6
+        found = self._usable(np.clip(start, arm.lower + 0.11, arm.upper - 0.11))
+        values = np.linalg.svd(weighted(arm.jacobian(found)), compute_uv=False)
+        return self._unlike(found[np.argsort(values.min(axis=1), kind="stable")])
+
+    def _usable(self, found: Array) -> Array:
+        """Those inside the limits, with a margin of 0.1 rad, and free of collisions."""
+        margin = 0.1
+        inside = np.all((found > self.arm.lower + margin) & (found < self.arm.upper - margin), axis=1)
+        found = found[inside]
+        return found[self.arm.free(found)] if len(found) else found
+
+    def _unlike(self, found: Array) -> Array:
+        """The first ones of which no two are nearly alike."""
         chosen: list[Array] = []
         for q in found:
             if all(np.linalg.norm(q - other) > 0.3 for other in chosen):
                 chosen.append(q)
             if len(chosen) == _SINGULAR_POOL:
                 break
-        return np.array(chosen).reshape(-1, len(arm.home))
+        return np.array(chosen).reshape(-1, len(self.arm.home))
