@@ -7,7 +7,7 @@ import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lerobot_mimicik.inputs import looks_like_path, near
 from lerobot_mimicik.weights import CheckpointError
@@ -115,7 +115,7 @@ def load_policy(path: str, device: str | None = None) -> LearnedIKPolicy:
     found = find_checkpoint(path)
     if device is not None:
         check_device(device)
-    config = _read_config(found)
+    config = read_config(found)
     if config.type not in _BY_TYPE:
         raise ValueError(
             f"{path} is a checkpoint of type {config.type!r}; expected one of {', '.join(_BY_TYPE)}."
@@ -144,8 +144,12 @@ def check_device(name: str) -> None:
         raise ValueError(f"device={name!r}: torch finds {count} devices of that kind here; cpu always works.")
 
 
-def _read_config(found: str) -> LearnedIKConfig:
-    """The configuration in a checkpoint's folder or Hub repository, of any policy that LeRobot knows."""
+def read_config(found: str) -> Any:
+    """The configuration in a checkpoint's folder or Hub repository, of any policy that LeRobot knows.
+
+    Raises:
+        CheckpointError: It is damaged; the message names the file.
+    """
     from draccus.utils import DraccusException
     from lerobot.configs import PreTrainedConfig
 
@@ -160,5 +164,5 @@ def _read_config(found: str) -> LearnedIKConfig:
             raise CheckpointError(f"{file} is no configuration of a policy: expected an object with a type.")
     try:
         return PreTrainedConfig.from_pretrained(found)
-    except (DraccusException, TypeError, AttributeError) as error:
+    except (DraccusException, TypeError, AttributeError, KeyError) as error:
         raise CheckpointError(f"{file if file.is_file() else found}: {error}") from error

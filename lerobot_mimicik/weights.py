@@ -31,6 +31,21 @@ def read_tensors(path: str | Path) -> dict[str, Tensor]:
         raise CheckpointError(f"{path} is damaged: {error}.") from error
 
 
+def check_tensors(path: str | Path) -> None:
+    """See that a safetensors file is whole, without reading its numbers.
+
+    Raises:
+        CheckpointError: If it is truncated or no such file.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="np"):
+            pass
+    except (SafetensorError, OSError) as error:
+        raise CheckpointError(f"{path} is damaged: {error}.") from error
+
+
 def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], where: str | Path) -> None:
     """Fill a module from the tensors of a checkpoint, all of them and no others.
 

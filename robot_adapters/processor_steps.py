@@ -8,6 +8,7 @@ registry: they are found by their import path, also where plugins are not import
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -169,8 +170,16 @@ class JointsToEEState(ObservationProcessorStep, RelativeActionsProcessorStep):
         from lerobot_mimicik.kinematics.array_chain import array_chain
 
         _check_units(self.joint_units)
+        keys = self.state_keys if isinstance(self.state_keys, list) else []
+        if not keys or any(key not in (OBS_STATE, OBS_ENV_STATE) for key in keys):
+            raise ValueError(
+                f"state_keys={self.state_keys!r}: expected {OBS_STATE}, {OBS_ENV_STATE}, or both"
+            )
         self._measured: NDArray[np.float64] | None = None
-        self._description = ArmDescription.from_json(self.arm)
+        try:
+            self._description = ArmDescription.from_json(self.arm)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"arm: expected an arm's description as JSON: {error}") from error
         self._chain = array_chain(self._description)
         self._frames = make_frames(self.rotation, self.tool)
 
@@ -272,6 +281,10 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
         from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
 
         _check_units(self.joint_units)
+        for name in ("policy", "settings"):
+            if not isinstance(getattr(self, name), Mapping):
+                what = "the entries of a MimicIK configuration" if name == "policy" else "names and values"
+                raise ValueError(f"{name}={getattr(self, name)!r}: expected {what}")
         self._policy = MimicIKPolicy(MimicIKConfig(**self.policy)).eval()
         self._frames = make_frames(self.rotation, self.tool)
         self.adapter = self._make_adapter()

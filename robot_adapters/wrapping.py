@@ -16,7 +16,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from lerobot_mimicik.checkpoints import find_checkpoint, read_config
 from lerobot_mimicik.kinematics.poses import PoseFormat
+from lerobot_mimicik.weights import CheckpointError, check_tensors
 from robot_adapters.adapter import AdapterSettings, MimicIKAdapter
 
 _STATE, _ENVIRONMENT = "observation.state", "observation.environment_state"
@@ -50,10 +52,9 @@ def wrap_checkpoint(
     Raises:
         FileExistsError: `output` holds something.
         FileNotFoundError, TypeError: a checkpoint is missing, or not of the right kind.
+        CheckpointError: a checkpoint is damaged.
         ValueError: the policy's state or action is no pose in that format, or a difference of poses.
     """
-    from lerobot.configs import PreTrainedConfig
-    from lerobot.policies.factory import make_pre_post_processors
     from lerobot.processor import (
         NormalizerProcessorStep,
         PolicyProcessorPipeline,
@@ -61,15 +62,13 @@ def wrap_checkpoint(
         RelativeActionsProcessorStep,
     )
 
-    from lerobot_mimicik.checkpoints import find_checkpoint
     from lerobot_mimicik.solvers.mimicik import MimicIKSolver
     from robot_adapters.processor_steps import EEActionToJoints, JointsToEEState, StateAsEnvironment
 
     output = Path(output)
-    if output.exists() and any(output.iterdir()):
-        raise FileExistsError(f"{output} exists already; choose another folder")
+    check_output(output)
     source = _local_folder(find_checkpoint(policy_path))
-    config = PreTrainedConfig.from_pretrained(source)
+    config, preprocessor, postprocessor = _read_policy(source)
     state_keys = _check_features(config, rotation)
     before: ProcessorStep = StateAsEnvironment()
     after: list[ProcessorStep] = []
@@ -93,7 +92,6 @@ def wrap_checkpoint(
         after = [solve]
     elif _ENVIRONMENT not in state_keys:
         raise ValueError("without ik.path there is nothing to do: the policy needs no environment state")
-    preprocessor, postprocessor = make_pre_post_processors(config, pretrained_path=str(source))
     steps = list(preprocessor.steps)
     relative = (step for step in steps if isinstance(step, RelativeActionsProcessorStep))
     if ik_path is not None and any(step.enabled for step in relative):
@@ -118,6 +116,44 @@ def wrap_checkpoint(
     return output
 
 
+def check_output(output: str | Path) -> None:
+    """See that a checkpoint can be written to a folder; FileExistsError if there is something."""
+    folder = Path(output)
+    if folder.is_file() or (folder.exists() and any(folder.iterdir())):
+        raise FileExistsError(f"{output} exists already; choose another folder")
+
+
+def _read_policy(folder: Path) -> tuple[Any, Any, Any]:
+    """A policy's configuration and its two pipelines, its weights looked at but not read.
+
+    Raises:
+        CheckpointError: something is damaged or missing; names the file or folder, and the reason.
+    """
+    from lerobot.policies.factory import make_pre_post_processors
+    from safetensors import SafetensorError
+
+    config = read_config(str(folder))
+    tensors = list(folder.glob("*.safetensors"))
+    if all(file.name.startswith("policy_p") for file in tensors):
+        raise CheckpointError(f"{folder} has no weights: expected model.safetensors")
+    for file in tensors:
+        check_tensors(file)
+    try:
+        return config, *make_pre_post_processors(config, pretrained_path=str(folder))
+    except (
+        SafetensorError,
+        ValueError,
+        TypeError,
+        LookupError,
+        AttributeError,
+        ImportError,
+        OSError,
+    ) as error:
+        # LeRobot prints a step's whole configuration before the reason.
+        reason = str(error).rpartition(". Error: ")[2]
+        raise CheckpointError(f"the processors of {folder} cannot be loaded: {reason}") from error
+
+
 def _local_folder(path: str) -> Path:
     if Path(path).is_dir():
         return Path(path)
@@ -130,11 +166,12 @@ def _check_features(config: Any, rotation: PoseFormat) -> list[str]:
     """The keys under which the policy sees its state; ValueError if its numbers are no pose."""
     widths = {key: feature.shape[-1] for key, feature in (config.input_features or {}).items()}
     keys = [key for key in (_STATE, _ENVIRONMENT) if key in widths]
-    action = config.output_features["action"].shape[-1]
+    outputs = config.output_features or {}
+    action = outputs["action"].shape[-1] if "action" in outputs else None
     fitting = (rotation.width, rotation.width + 1)
     if not keys or action not in fitting or any(widths[key] not in fitting for key in keys):
         raise ValueError(
-            f"the policy ({config.type}) has inputs {widths} and an action of {action} numbers; expected a pose "
+            f"the policy ({config.type}) has inputs {widths} and an action of {action or 'no'} numbers; expected a pose "
             f"of {rotation.width} ({' '.join(rotation.names)}), with or without a gripper, as "
             f"{_STATE} or {_ENVIRONMENT} and as action"
         )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 from evaluation_cases import airbot
@@ -75,6 +77,23 @@ class Noticing(Single):
         return super().solve(q_curr, target_pose)
 
 
+class Slow(Counting):
+    """Takes at least 2 ms for a row; keeps how many rows it was asked for at once."""
+
+    pieces: ClassVar[list[int]] = []
+
+    def solve_in_pieces(self, q_curr, target_pose, rows):
+        start = 0
+        for most in rows:
+            if start >= len(q_curr):
+                return
+            piece = q_curr[start : start + most]
+            time.sleep(0.002 * len(piece))
+            self.pieces.append(len(piece))
+            yield piece
+            start += most
+
+
 class Undefined(Counting):
     """Answers not a number, in the second row where there is one."""
 
@@ -92,6 +111,7 @@ FACTORIES = {
     "waiting": Waiting,
     "busy": Busy,
     "noticing": Noticing,
+    "slow": Slow,
     "undefined": Undefined,
 }
 

@@ -82,14 +82,20 @@ def test_wrong_options_are_refused_with_what_would_do(option, message, capsys):
     assert message in capsys.readouterr().err
 
 
+def test_more_requests_at_once_than_the_server_lets_wait_are_refused_at_once(capsys):
+    assert main(["benchmark-server", "--window=32"]) == 1
+    assert "--window=32: expected 1 to 16" in capsys.readouterr().err
+
+
 def test_dashes_in_option_names_are_as_good_as_underscores():
     argv = ["--make-keys=a-b", "--policy.path", "c-d", "--x"]
     assert underscored(argv) == ["--make_keys=a-b", "--policy.path", "c-d", "--x"]
 
 
 def test_the_benchmark_prints_both_figures_as_ratios(capsys):
-    options = ["--rounds=1", "--seconds=0.2", "--clients=1", "--window=8"]
+    options = ["--rounds=1", "--seconds=0.2", "--clients=1", "--batch_rows=64"]
     assert main(["benchmark-server", *options]) == 0
     shown = capsys.readouterr().out
     assert "ratio, server to this process" in shown
-    assert "1 clients with 8 under way" in shown
+    assert "1 clients with 16 under way" in shown
+    assert "longest delay by the batches" in shown

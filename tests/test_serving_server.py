@@ -9,7 +9,7 @@ import pytest
 import torch
 import zmq
 from evaluation_cases import airbot, trajectory
-from serving_cases import HOME, POSE, Busy, Waiting, serving
+from serving_cases import HOME, POSE, Busy, Slow, Waiting, serving
 
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.evaluation.rollouts import make_rollouts
@@ -233,6 +233,16 @@ def test_a_long_question_does_not_hold_up_a_short_one(address):
             assert found == number
             answer = protocol.decode_array(value, "answer")
             np.testing.assert_allclose(answer, q + np.arange(1, 1001)[:, None])
+
+
+def test_a_slow_solvers_batch_is_answered_in_pieces_that_take_a_few_milliseconds(address):
+    Slow.pieces.clear()
+    q, target = np.tile(HOME, (60, 1)), np.tile(POSE, (60, 1))
+    with connect(address, "slow") as client:
+        client.reset(q)
+        np.testing.assert_array_equal(client.solve(q, target), q)
+    assert sum(Slow.pieces) == 60
+    assert max(Slow.pieces[1:]) <= 10  # 20 ms
 
 
 def test_who_sends_without_waiting_is_refused_and_others_are_served():

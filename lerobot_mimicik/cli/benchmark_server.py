@@ -1,4 +1,4 @@
-"""`mimicik benchmark-server`: what asking `mimicik serve` costs compared with asking the solver directly."""
+"""`mimicik benchmark-server`: what asking `mimicik serve` costs, and how long one client waits for another's batches."""
 
 from __future__ import annotations
 
@@ -8,19 +8,22 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from lerobot_mimicik.cli.eval import PolicySource
 from lerobot_mimicik.cli.options import parse
 
-HELP = "Measure the latency that the IK server adds and the queries a second that it answers."
+HELP = "Measure the latency that the IK server adds, its queries a second, and the waiting beside a client with batches."
 
 
 @dataclass
 class BenchmarkServerConfig:
     """Starts a server of its own on loopback, asks it and the solver in this process, and compares."""
 
-    # A solver that needs no options; the fastest shows the server's own cost.
+    policy: PolicySource = field(default_factory=PolicySource)
+    # The solver that is asked; the fastest shows the server's own cost. Those of a checkpoint need --policy.path.
     solver: str = "hold"
+    # A shipped arm, or the path of a URDF.
     robot: str = "airbot_play"
     # Address of the server that is started; port 0 is a free one.
     bind: str = "tcp://127.0.0.1:0"
@@ -30,8 +33,10 @@ class BenchmarkServerConfig:
     seconds: float = 4.0
     # Processes that ask at the same time, for the rate.
     clients: int = 2
-    # Requests that each has under way.
-    window: int = 32
+    # Requests that each has under way, at most as many as the server lets wait.
+    window: int = 16
+    # Frames of the recordings that a second client sends, two at a time, while single queries are timed.
+    batch_rows: int = 4096
 
 
 def main(argv: Sequence[str]) -> int:
@@ -41,12 +46,20 @@ def main(argv: Sequence[str]) -> int:
 
     from lerobot_mimicik.kinematics.arms import describe_arm
     from lerobot_mimicik.kinematics.chain import SerialArm
-    from lerobot_mimicik.serving.benchmark import compare_latency, local_rate, remote_rate
+    from lerobot_mimicik.serving.benchmark import (
+        compare_latency,
+        local_rate,
+        remote_rate,
+        waiting_beside_batches,
+    )
     from lerobot_mimicik.serving.client import IKClient
+    from lerobot_mimicik.serving.limits import Limits
     from lerobot_mimicik.solvers import make_solver
 
+    if not 1 <= config.window <= (most := Limits().max_waiting):
+        raise ValueError(f"--window={config.window}: expected 1 to {most}, as many as the server lets wait")
     arm = SerialArm(describe_arm(config.robot), dtype=torch.float64)
-    solver = make_solver(config.solver, arm)
+    solver = make_solver(config.solver, arm, **({"policy": config.policy.path} if config.policy.path else {}))
     q = (0.5 * (arm.lower + arm.upper)).clamp(-1.0, 1.0).numpy()
     target = arm.forward(torch.from_numpy(q)).numpy()
     with _server(config) as address:
@@ -55,6 +68,7 @@ def main(argv: Sequence[str]) -> int:
         here = local_rate(solver, q, target, config.seconds)
         one = remote_rate(address, config.solver, q, target, config.seconds, clients=1, window=1)
         many = remote_rate(address, config.solver, q, target, config.seconds, config.clients, config.window)
+        waiting = waiting_beside_batches(address, config.solver, q, target, config.seconds, config.batch_rows)
     ratio, load = latency.remote_ms / latency.local_ms, os.getloadavg()[0]
     print(f"solver {config.solver}, {os.cpu_count()} CPUs, load {load:.1f}, {address}")
     print("single queries, one at a time                    p50 ms     p99 ms")
@@ -70,6 +84,16 @@ def main(argv: Sequence[str]) -> int:
     print(f"  one client, waiting for every answer       {one:10,.0f} {one / here:10.3f}")
     label = f"{config.clients} clients with {config.window} under way"
     print(f"  {label:<42} {many:10,.0f} {many / here:10.3f}")
+    print("single queries of a robot at 20 Hz               p50 ms     p99 ms     max ms")
+    print(
+        f"  alone                                      {waiting.alone_ms:10.2f} {'':10} {waiting.alone_max_ms:10.2f}"
+    )
+    label = f"beside batches of {config.batch_rows:,} frames"
+    print(
+        f"  {label:<42} {waiting.beside_ms:10.2f} {waiting.beside_p99_ms:10.2f} {waiting.beside_max_ms:10.2f}"
+    )
+    print(f"  longest delay by the batches               {waiting.beside_max_ms - waiting.alone_ms:10.2f}")
+    print(f"  ({waiting.queries} queries; {waiting.rows_per_s:,.0f} frames of batches a second)")
     return 0
 
 
@@ -77,12 +101,14 @@ def main(argv: Sequence[str]) -> int:
 def _server(config: BenchmarkServerConfig) -> Iterator[str]:
     """The real command in a process of its own; yields its address."""
     command = [sys.executable, "-m", "lerobot_mimicik.cli.main", "serve", f"--solvers={config.solver}"]
+    command += [f"--policy.path={config.policy.path}"] if config.policy.path else []
     command += [f"--robot={config.robot}", f"--bind={config.bind}", "--rate=0", "--threads=1"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:
-            line = process.stdout.readline()
-            if not line.startswith("Serving on "):
+            # A checkpoint says that it is loaded before.
+            line = next((line for line in process.stdout if line.startswith("Serving on ")), None)
+            if line is None:
                 raise RuntimeError("The server did not start; what it said is above.")
             yield line.removeprefix("Serving on ").partition(";")[0]
         finally:

@@ -1,11 +1,18 @@
-"""What asking a server costs compared with asking the solver here: latency of one client, rate of several."""
+"""What asking a server costs compared with asking the solver here: latency of one client, rate of several, and how
+much one waits while another asks for long batches.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
 import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from queue import Empty
+from threading import BrokenBarrierError
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zmq
@@ -14,9 +21,12 @@ from lerobot_mimicik.serving import protocol
 from lerobot_mimicik.serving.client import IKClient
 
 if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
     from multiprocessing.synchronize import Barrier
 
     from lerobot_mimicik.solvers.base import Array, IKSolver
+
+_PATIENCE_S = 120.0  # with processes that start on a busy machine
 
 
 @dataclass(frozen=True)
@@ -64,6 +74,71 @@ def compare_latency(
     )
 
 
+@dataclass(frozen=True)
+class Waiting:
+    """Durations of single queries, in ms, alone and while another client sends batches.
+
+    Attributes:
+        alone_ms, alone_max_ms: Median and longest without the other client.
+        beside_ms, beside_p99_ms, beside_max_ms: Median, 99th percentile and longest beside it.
+        queries: Number of queries beside it.
+        rows_per_s: Rows of the other client's batches that were answered in a second.
+    """
+
+    alone_ms: float
+    alone_max_ms: float
+    beside_ms: float
+    beside_p99_ms: float
+    beside_max_ms: float
+    queries: int
+    rows_per_s: float
+
+
+def waiting_beside_batches(
+    address: str, solver: str, q: Array, target: Array, seconds: float, rows: int, pause_s: float = 0.05
+) -> Waiting:
+    """Ask single queries as a robot does, first alone, then while another process asks for batch after batch.
+
+    Args:
+        address, solver: The server and its solver, which both clients ask.
+        q, target: The question, (dof,) and (7,); a batch is a recording that repeats it.
+        seconds: How long to ask, each time.
+        rows: Frames of a recording.
+        pause_s: Between two single queries.
+
+    Raises:
+        RuntimeError: If the other client fails.
+    """
+    recording = np.tile(q, (rows, 1)), np.tile(target, (rows, 1))
+    with IKClient(address, solver, timeout_s=20.0) as client:
+        client.reset(q)
+        client.solve(q, target)  # a policy traces its network first
+        alone = _durations(client, q, target, seconds, pause_s)
+        with _asking(1, (address, solver, "solve_recorded", *recording, seconds, 2)) as rates:
+            beside = _durations(client, q, target, seconds, pause_s)
+            (rate,) = rates()
+    return Waiting(
+        float(np.median(alone)),
+        max(alone),
+        float(np.median(beside)),
+        float(np.percentile(beside, 99)),
+        max(beside),
+        len(beside),
+        rate * rows,
+    )
+
+
+def _durations(client: IKClient, q: Array, target: Array, seconds: float, pause_s: float) -> list[float]:
+    """Of single queries for so long, in ms."""
+    found = []
+    until = time.perf_counter() + seconds
+    while (begin := time.perf_counter()) < until:
+        client.solve(q, target)
+        found.append(1e3 * (time.perf_counter() - begin))
+        time.sleep(pause_s)
+    return found
+
+
 def local_rate(solver: IKSolver, q: Array, target: Array, seconds: float) -> float:
     """Single queries a second that the solver answers here."""
     solver.reset(q)
@@ -89,30 +164,51 @@ def remote_rate(
     Raises:
         RuntimeError: If a client fails.
     """
+    with _asking(clients, (address, solver, "solve", q, target, seconds, window)) as rates:
+        return float(sum(rates()))
+
+
+@contextmanager
+def _asking(clients: int, arguments: tuple[Any, ...]) -> Iterator[Callable[[], list[float]]]:
+    """Client processes of `_ask_on` that have begun; what is yielded waits for the rate of each.
+
+    Raises:
+        RuntimeError: If one fails.
+    """
     spawn = multiprocessing.get_context("spawn")
     barrier, counts = spawn.Barrier(clients + 1), spawn.Queue()
-    processes = [
-        spawn.Process(target=_ask_on, args=(address, solver, q, target, seconds, window, barrier, counts))
-        for _ in range(clients)
-    ]
+    processes = [spawn.Process(target=_ask_on, args=(*arguments, barrier, counts)) for _ in range(clients)]
     for process in processes:
         process.start()
     try:
-        barrier.wait(timeout=120)
-        rates = [counts.get(timeout=seconds + 60) for _ in processes]
-    except Exception as error:
+        barrier.wait(timeout=_PATIENCE_S)
+        yield partial(_answers, counts, processes)
+    except BrokenBarrierError as error:
         raise RuntimeError(f"A client of the benchmark failed: {error!r}.") from error
     finally:
         for process in processes:
             process.join(timeout=10)
             if process.is_alive():
                 process.kill()
-    return float(sum(rates))
+
+
+def _answers(counts: multiprocessing.Queue[float], processes: Sequence[BaseProcess]) -> list[float]:
+    """What every process reports; RuntimeError as soon as one has failed."""
+    found: list[float] = []
+    until = time.monotonic() + _PATIENCE_S
+    while len(found) < len(processes):
+        try:
+            found.append(counts.get(timeout=0.5))
+        except Empty:
+            if any(process.exitcode for process in processes) or time.monotonic() > until:
+                raise RuntimeError("A client of the benchmark failed; what it said is above.") from None
+    return found
 
 
 def _ask_on(
     address: str,
     solver: str,
+    method: str,
     q: Array,
     target: Array,
     seconds: float,
@@ -120,22 +216,25 @@ def _ask_on(
     barrier: Barrier,
     counts: multiprocessing.Queue[float],
 ) -> None:
-    """One client process: keep `window` requests under way for `seconds`, and report answers a second."""
+    """One client process: keep `window` requests under way for `seconds`, and report answers a second.
+
+    `method` is the protocol's, `solve` or `solve_recorded`; `q` and `target` are its arguments.
+    """
     with IKClient(address, solver, timeout_s=20.0) as client:
-        client.reset(q)
+        client.reset(q if q.ndim == 1 else q[0])
         socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
         with socket:
             socket.linger = 0
-            socket.rcvtimeo = 20_000
+            socket.rcvtimeo = int(1e3 * _PATIENCE_S)
             socket.connect(address)
             sent = received = 0
-            barrier.wait(timeout=120)
+            barrier.wait(timeout=_PATIENCE_S)
             begin = time.perf_counter()
             while (passed := time.perf_counter() - begin) < seconds or received < sent:
                 while sent - received < window and passed < seconds:
                     sent += 1
                     question = (protocol.encode_array(q), protocol.encode_array(target))
-                    socket.send(protocol.pack_request(sent, "solve", client.session, question))
+                    socket.send(protocol.pack_request(sent, method, client.session, question))
                 number, value = protocol.unpack_reply(socket.recv())
                 received += 1
                 if number != received or isinstance(value, protocol.ServingError):

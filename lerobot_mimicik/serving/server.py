@@ -1,7 +1,8 @@
 """The IK server: one ROUTER socket, one thread, a solver for every session.
 
-Requests wait in a queue for each client. The clients take turns; a turn is one piece of an answer: a whole one, or
-`_PIECE` rows of a long one. So nobody waits longer for a short answer than one piece of every other client's takes.
+Requests wait in a queue for each client. The clients take turns; a turn is one piece of an answer: a whole one, or as
+many rows of a long one as take `_PIECE_S`. So nobody waits longer for a short answer than one piece of every other
+client's takes.
 """
 
 from __future__ import annotations
@@ -38,8 +39,11 @@ _STOP_MS = 100
 # Requests that ZeroMQ keeps for one client before its connection is told to wait.
 _QUEUE = 256
 _HEARTBEAT_MS = 10_000
-# Rows of a batch that are answered before it is the next client's turn: 10 to 20 ms of a policy on one core.
-_PIECE = 128
+# How long rows of a batch are answered before it is the next client's turn, in s: less than half a frame of a robot.
+_PIECE_S = 0.02
+# Rows of the first piece that a solver is asked for, and fewest and most of any: a network's pass takes some
+# milliseconds for the first row and little for the others.
+_FIRST_PIECE, _SHORTEST_PIECE, _LONGEST_PIECE = 16, 8, 1024
 # Messages read between two turns, so that who sends without end keeps nobody from being answered.
 _INTAKE = 64
 # Quaternions shorter than this are no rotation.
@@ -111,6 +115,8 @@ class IKServer:
         }
         # Jobs of each client, with the address that the reply goes to; the client whose turn is next comes first.
         self._waiting: OrderedDict[bytes | str, deque[tuple[bytes, _Job]]] = OrderedDict()
+        # How many rows of each solver's answers take `_PIECE_S`, as far as it was measured.
+        self._rows = dict.fromkeys(factories, _FIRST_PIECE)
         # How many arguments each takes.
         self._methods: dict[str, tuple[tuple[int, ...], Callable[..., Any]]] = {
             "info": ((0,), lambda session: self._info),
@@ -292,19 +298,26 @@ class IKServer:
         self, session: Session, method: str, q: Array, target: Array
     ) -> Generator[None, None, list[Any]]:
         """The solver's commands as they travel, with a pause between the pieces."""
-        pieces = self._ask(session, method, q, target, _PIECE)
-        commands = np.zeros((0, q.shape[-1]))
-        while len(commands) < len(np.atleast_2d(q)):
-            if len(commands):
+        name, asked = session.solver_name, len(np.atleast_2d(q))
+        pieces = self._ask(session, method, q, target, iter(lambda: self._rows[name], 0))
+        answered: list[Array] = []
+        count = 0
+        while count < asked:
+            if count:
                 yield
                 if not self._sessions.holds(session):
                     raise UnknownSessionError("The session was closed while its question was being answered.")
+            begin = time.perf_counter()
             piece = self._guarded(session, method, _floats, pieces)
-            if piece.shape[1:] != commands.shape[1:] or not len(piece):
+            if piece.shape[1:] != q.shape[-1:] or not len(piece):
                 raise SolverFailedError(
-                    f"{session.solver_name} answered with shape {piece.shape}, expected {commands.shape[1:]} each."
+                    f"{name} answered with shape {piece.shape}, expected {q.shape[-1:]} each."
                 )
-            commands = np.concatenate([commands, piece])
+            count += len(piece)
+            if count < asked:  # the last piece may be short, which says little of the time that rows take
+                self._rows[name] = _rows_in_time(len(piece), time.perf_counter() - begin)
+            answered.append(piece)
+        commands = np.concatenate(answered)
         if commands.shape != np.atleast_2d(q).shape or not np.isfinite(commands).all():
             raise SolverFailedError(
                 f"{session.solver_name} answered numbers that are not finite, or too many of them."
@@ -372,6 +385,12 @@ class IKServer:
 def _number(frames: list[bytes]) -> bytes:
     """The id of a request, also of one that is none."""
     return frames[-1][: protocol.ID_BYTES].ljust(protocol.ID_BYTES, b"\0")
+
+
+def _rows_in_time(rows: int, seconds: float) -> int:
+    """How many rows the next piece may have, after one of so many rows took so long; at most twice as many."""
+    fitting = int(rows * _PIECE_S / max(seconds, 1e-9))
+    return max(_SHORTEST_PIECE, min(fitting, 2 * rows, _LONGEST_PIECE))
 
 
 def _floats(pieces: Iterator[Array]) -> Array:

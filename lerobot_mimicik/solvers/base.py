@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from itertools import repeat
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -83,23 +84,24 @@ class IKSolver(ABC):
             (T, dof) commands in rad. A solver that can answer many frames at once overrides
             ``recorded_in_pieces``.
         """
-        return np.concatenate(list(self.recorded_in_pieces(q_curr, target_pose, len(q_curr))))
+        return np.concatenate(list(self.recorded_in_pieces(q_curr, target_pose, repeat(len(q_curr)))))
 
-    def solve_in_pieces(self, q_curr: Array, target_pose: Array, rows: int) -> Iterator[Array]:
+    def solve_in_pieces(self, q_curr: Array, target_pose: Array, rows: Iterable[int]) -> Iterator[Array]:
         """What ``solve`` answers, computed piece by piece, so that others can be served in between.
 
         Args:
             q_curr: As in ``solve``.
             target_pose: As in ``solve``.
-            rows: Most rows of a batch in one piece. A solver whose batches are answered quickly need not care.
+            rows: Most rows of a batch in each piece, one number after the other, without end. A solver whose batches
+                are answered quickly need not care.
 
         Yields:
             The rows in their order, (n, dof); (dof,) where ``q_curr`` has one axis.
         """
         yield self.solve(q_curr, target_pose)
 
-    def recorded_in_pieces(self, q_curr: Array, target_pose: Array, rows: int) -> Iterator[Array]:
-        """What ``solve_recorded`` answers, in pieces of (n, dof) with n at most ``rows``."""
+    def recorded_in_pieces(self, q_curr: Array, target_pose: Array, rows: Iterable[int]) -> Iterator[Array]:
+        """What ``solve_recorded`` answers, in pieces of (n, dof) with n at most the next of ``rows``."""
         self.reset(q_curr[:1] if self.batched else q_curr[0])
         for t in range(len(q_curr)):
             row = slice(t, t + 1) if self.batched else t

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -100,24 +101,23 @@ class MimicIKSolver(IKSolver):
         """The policy's command; (B, dof) and (B, 7), or (dof,) and (7,)."""
         if q_curr.ndim == 1:
             return self.solve(q_curr[None], target_pose[None])[0]
-        return np.concatenate(list(self.solve_in_pieces(q_curr, target_pose, len(q_curr))))
+        return np.concatenate(list(self.solve_in_pieces(q_curr, target_pose, repeat(len(q_curr)))))
 
-    def solve_in_pieces(self, q_curr: Array, target_pose: Array, rows: int) -> Iterator[Array]:
-        """The policy's commands, a forward pass for every ``rows`` rows."""
+    def solve_in_pieces(self, q_curr: Array, target_pose: Array, rows: Iterable[int]) -> Iterator[Array]:
+        """The policy's commands, a forward pass for every piece of ``rows``."""
         if q_curr.ndim == 1:
             yield self.solve(q_curr, target_pose)
             return
         self._q = q = _push(self._q, q_curr, self.steps)
         self._target = target = _push(self._target, target_pose, self.steps)
-        for start in range(0, len(q), rows):
-            yield self._ask(q[start : start + rows], target[start : start + rows])
+        for piece in _pieces(len(q), rows):
+            yield self._ask(q[piece], target[piece])
 
-    def recorded_in_pieces(self, q_curr: Array, target_pose: Array, rows: int) -> Iterator[Array]:
+    def recorded_in_pieces(self, q_curr: Array, target_pose: Array, rows: Iterable[int]) -> Iterator[Array]:
         """All frames of one recording, in forward passes of at most ``chunk`` and ``rows`` frames."""
-        ages, most = np.arange(self.steps)[::-1], min(rows, self.chunk)
-        frames = np.maximum(np.arange(len(q_curr))[:, None] - ages, 0)
-        for window in np.split(frames, range(most, len(frames), most)):
-            yield self._ask(q_curr[window], target_pose[window])
+        frames = np.maximum(np.arange(len(q_curr))[:, None] - np.arange(self.steps)[::-1], 0)
+        for piece in _pieces(len(frames), (min(most, self.chunk) for most in rows)):
+            yield self._ask(q_curr[frames[piece]], target_pose[frames[piece]])
 
     def _ask(self, q: Array, target: Array) -> Array:
         """(B, T_o, dof) and (B, T_o, 7) -> (B, dof)."""
@@ -146,6 +146,16 @@ def _solver_of(kind: str) -> SolverFactory:
 
 for _kind in LEARNED[1:]:
     register_solver(_kind)(_solver_of(_kind))
+
+
+def _pieces(count: int, sizes: Iterable[int]) -> Iterator[slice]:
+    """Successive parts of `count` rows, each of the next size at most."""
+    start = 0
+    for size in sizes:
+        if start >= count:
+            return
+        yield slice(start, start + size)
+        start += size
 
 
 def _push(history: Array | None, frame: Array, steps: int) -> Array:
