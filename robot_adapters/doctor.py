@@ -61,7 +61,8 @@ class Doctor:
     def run(self, report: Callable[[Finding], None] = lambda finding: None) -> list[Finding]:
         """All checks; `report` is told of each as it ends."""
         options = self.options
-        checks = [Check("plugin", self._plugin), Check("URDF and joint order", self._urdf)]
+        # What needs no LeRobot comes first: importing it takes seconds.
+        checks = [Check("URDF and joint order", self._urdf), Check("plugin", self._plugin)]
         if options.policy_path:
             checks += [
                 Check("checkpoint", self._checkpoint, "plugin"),

@@ -164,7 +164,7 @@ def test_a_dataset_that_does_not_name_its_arm_needs_the_option(made, tmp_path, c
         f"--train={root}",
         f"--datasets={root}",
         "--solvers=hold",
-        f"--out={tmp_path / 'out'}",
+        f"--output={tmp_path / 'out'}",
     ]
     assert main(options) == 1
     assert "--arm" in capsys.readouterr().err

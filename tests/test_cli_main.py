@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from dataclasses import dataclass, field
 
 import pytest
 
 from lerobot_mimicik.cli import main as cli
-from lerobot_mimicik.cli.options import bare_switches, join_repeated, numbers
+from lerobot_mimicik.cli.options import bare_switches, join_repeated, numbers, parse
 
 
 def test_help_lists_every_subcommand_with_what_it_does(capsys):
@@ -58,7 +59,7 @@ def test_an_error_of_the_user_is_one_line_without_a_traceback(capsys, monkeypatc
         (["evall"], "eval"),
         (["eval", "--outputt=x"], "--output"),
         (["make-dataset", "--robot.hom=1"], "--robot.home"),
-        (["make-dataset", "--columns.quaternion-order=wxyz"], "--columns.quaternion_order"),
+        (["make-dataset", "--columns.quaternion_ordr=wxyz"], "--columns.quaternion_order"),
         (["make-dataset", "--source=joint", "--output=x"], "joints"),
         (["make-dataset", "--source=stress", "--output=x", "--stress.kinds=tremor-1"], "tremor-1mm"),
         (["make-dataset", "--source=synthetic", "--output=x", "--robot=airbotplay"], "airbot_play"),
@@ -102,3 +103,61 @@ def test_bare_switches_mean_true():
 
     argv = ["--resume", "--steps", "5", "--overwrite", "false"]
     assert bare_switches(argv, DemoConfig) == ["--resume=true", "--steps", "5", "--overwrite", "false"]
+
+
+@pytest.mark.parametrize("command", sorted(cli.subcommands()))
+def test_help_fits_a_screen(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "110")
+    with pytest.raises(SystemExit):
+        cli.main([command, "--help"])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 50
+    assert all(len(line) <= 125 for line in lines)
+
+
+@dataclass
+class _Group:
+    """A group of options."""
+
+    # Where it lies.
+    root: str = ""
+
+
+@dataclass
+class _Config:
+    """Options of a command."""
+
+    dataset: _Group = field(default_factory=_Group)
+    # Where it goes.
+    output: str = "here"
+    # Which arm.
+    arm: str = ""
+    # A switch.
+    overwrite: bool = False
+
+
+@pytest.mark.parametrize(
+    ("argument", "value", "word"),
+    [
+        ("--out=x", ("output", "x"), "--out is now written --output"),
+        ("--robot=x", ("arm", "x"), "--robot is now written --arm"),
+        ("--dataset=x", ("dataset", _Group("x")), ""),
+        ("--datasets=x", ("dataset", _Group("x")), ""),
+        ("--dataset_root=x", ("dataset", _Group("x")), "--dataset_root is now written --dataset.root"),
+        ("--overwrite", ("overwrite", True), ""),
+    ],
+)
+def test_one_vocabulary_is_understood_and_former_spellings_with_a_word(argument, value, word, capsys):
+    config = parse(_Config, [argument], "command")
+    assert getattr(config, value[0]) == value[1]
+    assert capsys.readouterr().err.strip() == word
+
+
+def test_help_of_a_group_and_of_one_that_does_not_exist(capsys):
+    with pytest.raises(SystemExit):
+        parse(_Config, ["--help=dataset"], "command")
+    shown = capsys.readouterr().out
+    assert "--dataset.root=" in shown
+    assert "--output" not in shown
+    with pytest.raises(ValueError, match="groups are dataset"):
+        parse(_Config, ["--help=nothing"], "command")

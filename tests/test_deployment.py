@@ -160,7 +160,7 @@ def check_deploy_command(mimicik_run, tmp_path, *options: str) -> None:
                 "--dataset.episodes=0",
                 "--dataset.seconds=5",
                 f"--display_file={tmp_path / 'deployment.rrd'}",
-                f"--out={out}",
+                f"--output={out}",
                 *options,
             ]
         )
@@ -199,7 +199,7 @@ def test_a_deployment_that_the_arm_ends_is_reported_as_far_as_it_went(mimicik_ru
     except BusError as error:
         pytest.skip(f"no multicast here: {error}")
     data = mimicik_run.parent / "data" / "ood"
-    options = [f"--policy.path={mimicik_run}", f"--dataset.root={data}", f"--out={tmp_path}"]
+    options = [f"--policy.path={mimicik_run}", f"--dataset.root={data}", f"--output={tmp_path}"]
     with witness, arm_process("udp_multicast", channel) as arm:
 
         def cut_the_power():

@@ -16,15 +16,15 @@ COMMANDS = [
     "bench --datasets=outputs/data --train=outputs/nope",
     "bench --datasets=outputs/data --train=outputs/data --arm=nope.urdf",
     "serve --policy.path=outputs/rnu",
-    "serve --robot=nope.urdf",
+    "serve --arm=nope.urdf",
     "deploy --policy.path=outputs/rnu",
     "deploy --policy.path=outputs/run --dataset.root=outputs/nope",
     "wrap --policy.path=outputs/rnu --output=outputs/new",
     "wrap --policy.path=outputs/run --ik.path=outputs/rnu --output=outputs/new",
     "make-dataset --source=ee --input=outputs/nope --output=outputs/new",
     "make-dataset --source=joints --input=outputs/nope --output=outputs/new",
-    "make-dataset --source=synthetic --episodes=1 --robot=nope.urdf --output=outputs/new",
-    "demo --robot=nope.urdf --output=outputs/new",
+    "make-dataset --source=synthetic --episodes=1 --arm=nope.urdf --output=outputs/new",
+    "demo --arm=nope.urdf --output=outputs/new",
     "demo --source=ee --input=outputs/nope --output=outputs/new",
 ]
 _RUN = """

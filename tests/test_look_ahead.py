@@ -218,7 +218,7 @@ def near_singular(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize("ahead", [0, 7])
 def test_deploy_needs_no_checkpoint_and_tracks_through_singularities(near_singular, tmp_path, ahead):
-    options = ["--real_time=false", f"--look_ahead={ahead}", "--payload=1.0", f"--out={tmp_path}"]
+    options = ["--real_time=false", f"--look_ahead={ahead}", "--payload=1.0", f"--output={tmp_path}"]
     assert main(["deploy", f"--dataset.root={near_singular}", *options]) == 0
     (row,) = json.loads((tmp_path / "report.json").read_text())["rows"]
     assert row["solver"] == ("guided_ahead" if ahead else "guided")
@@ -239,5 +239,5 @@ def test_deploy_needs_no_checkpoint_and_tracks_through_singularities(near_singul
     ],
 )
 def test_deploy_names_an_option_that_does_not_fit(tmp_path, capsys, options, reason):
-    assert main(["deploy", *options, f"--out={tmp_path}"]) != 0
+    assert main(["deploy", *options, f"--output={tmp_path}"]) != 0
     assert reason in capsys.readouterr().err

@@ -70,7 +70,7 @@ def test_mistakes_are_named_without_a_traceback(arguments, message, capsys, tmp_
 
 def test_help_says_what_every_option_does(capsys):
     with pytest.raises(SystemExit):
-        make_dataset.main(["--help"])
+        make_dataset.main(["--help=all"])
     text = capsys.readouterr().out
     for word in ("--source", "--input", "--fit.max_step", "--columns.quaternion_order", "UMI", "zarr"):
         assert word in text

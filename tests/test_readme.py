@@ -100,7 +100,7 @@ def configuration(command: str) -> type:
         path = ROOT / package.replace(".", "/") / f"{command.replace('-', '_')}.py"
         if path.is_file():
             module = importlib.import_module(f"{package}.{path.stem}")
-            (name,) = re.findall(r"\bparse\((\w+Config)", path.read_text())
+            (name,) = set(re.findall(r"\bparse\((\w+Config)", path.read_text()))
             return getattr(module, name)
     raise AssertionError(f"there is no command mimicik {command}")
 

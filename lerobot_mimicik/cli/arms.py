@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lerobot_mimicik.cli.options import parse, underscored
+from lerobot_mimicik.cli.options import parse
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from lerobot_mimicik.kinematics.array_chain import array_chain
 from lerobot_mimicik.kinematics.plausibility import joint_limits
@@ -31,7 +31,7 @@ class ArmsConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    config = parse(ArmsConfig, underscored(argv), "mimicik arms")
+    config = parse(ArmsConfig, argv, "mimicik arms")
     if config.arm:
         print(_one(describe_arm(config.arm, tip_link=config.tip_link or None), config.arm))
     else:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from lerobot_mimicik import outputs
 from lerobot_mimicik.checkpoints import find_checkpoint
 from lerobot_mimicik.cli.eval import PolicySource
-from lerobot_mimicik.cli.options import numbers, parse, renamed, words
+from lerobot_mimicik.cli.options import numbers, parse, say_loading, words
 
 if TYPE_CHECKING:
     from lerobot_mimicik.evaluation.bench_run import BenchResult
@@ -21,7 +21,10 @@ HELP = "Compare solvers: train the learned ones, measure all of them on recorded
 
 @dataclass
 class BenchConfig:
-    """Options of `mimicik bench`."""
+    """Options of `mimicik bench`.
+
+    Example: `mimicik bench --datasets=outputs/demo/data/ood --solvers=guided,least_squares,mink`
+    """
 
     # Folders of LeRobot datasets to measure on, or of several of them, separated by commas.
     datasets: str = ""
@@ -74,10 +77,9 @@ class BenchConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command; 1 if a training failed."""
-    arguments = renamed(argv, {"--out": "--output", "--urdf": "--arm"})
-    config = parse(BenchConfig, arguments, "mimicik bench")
+    config = parse(BenchConfig, argv, "mimicik bench")
     with outputs.alone(config.output):
-        result = run(config, command=shlex.join(["mimicik", "bench", *arguments]))
+        result = run(config, command=shlex.join(["mimicik", "bench", *argv]))
     print(result.table)
     print(f"Report: {result.page}; all columns: {config.output}/table.md")
     return int(result.failed)
@@ -102,6 +104,8 @@ def run(config: BenchConfig, progress: bool = True, command: str = "") -> BenchR
         check_exists(config.recipes, "--recipes")
     if config.arm:
         describe_arm(config.arm)
+    if progress:
+        say_loading()
     from lerobot_mimicik.evaluation.bench_run import BenchOptions, run_bench
 
     options = BenchOptions(

@@ -17,7 +17,7 @@ class BenchmarkLoaderConfig:
     """Runs stock `lerobot-train` twice on one dataset, with a network so small that reading dominates."""
 
     # Folder of a LeRobot dataset.
-    dataset_root: Path
+    dataset: Path
     # Samples in a batch.
     batch_size: int = 4096
     # Training steps with whole-batch reading; the first log window (start-up) is not counted.
@@ -54,8 +54,8 @@ def samples_per_second(config: BenchmarkLoaderConfig, batched: bool) -> float:
             "--policy.n_layers=1",
             "--policy.d_model=16",
             "--policy.d_ff=16",
-            f"--dataset.repo_id=local/{config.dataset_root.name}",
-            f"--dataset.root={config.dataset_root}",
+            f"--dataset.repo_id=local/{config.dataset.name}",
+            f"--dataset.root={config.dataset}",
             f"--output_dir={folder}/run",
             f"--batch_size={config.batch_size if batched else config.baseline_batch_size}",
             f"--num_workers={config.num_workers}",
@@ -76,9 +76,9 @@ def samples_per_second(config: BenchmarkLoaderConfig, batched: bool) -> float:
 def main(argv: list[str]) -> None:
     """Parses the command line, measures and prints."""
     config = parse(BenchmarkLoaderConfig, argv, "mimicik benchmark-loader")
-    if not (config.dataset_root / "meta" / "info.json").is_file():
-        raise SystemExit(f"{config.dataset_root} is no LeRobot dataset: it has no meta/info.json")
-    config.dataset_root = config.dataset_root.resolve()
+    if not (config.dataset / "meta" / "info.json").is_file():
+        raise SystemExit(f"{config.dataset} is no LeRobot dataset: it has no meta/info.json")
+    config.dataset = config.dataset.resolve()
     without = samples_per_second(config, batched=False)
     with_batches = samples_per_second(config, batched=True)
     print(f"lerobot-train, frame by frame:        {without:12,.0f} samples/s")

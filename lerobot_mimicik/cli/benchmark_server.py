@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from lerobot_mimicik.cli.eval import PolicySource
-from lerobot_mimicik.cli.options import parse
+from lerobot_mimicik.cli.options import parse, say_loading
 
 HELP = "Measure the latency that the IK server adds, its queries a second, and the waiting beside a client with batches."
 
@@ -24,7 +24,7 @@ class BenchmarkServerConfig:
     # The solver that is asked; the fastest shows the server's own cost. Those of a checkpoint need --policy.path.
     solver: str = "hold"
     # A shipped arm, or the path of a URDF.
-    robot: str = "airbot_play"
+    arm: str = "airbot_play"
     # Address of the server that is started; port 0 is a free one.
     bind: str = "tcp://127.0.0.1:0"
     # Turns of 500 single queries each, for the latency.
@@ -42,6 +42,7 @@ class BenchmarkServerConfig:
 def main(argv: Sequence[str]) -> int:
     """Parse the command line, measure and print."""
     config = parse(BenchmarkServerConfig, argv, "mimicik benchmark-server")
+    say_loading()
     import torch
 
     from lerobot_mimicik.kinematics.arms import describe_arm
@@ -58,7 +59,7 @@ def main(argv: Sequence[str]) -> int:
 
     if not 1 <= config.window <= (most := Limits().max_waiting):
         raise ValueError(f"--window={config.window}: expected 1 to {most}, as many as the server lets wait")
-    arm = SerialArm(describe_arm(config.robot), dtype=torch.float64)
+    arm = SerialArm(describe_arm(config.arm), dtype=torch.float64)
     solver = make_solver(config.solver, arm, **({"policy": config.policy.path} if config.policy.path else {}))
     q = (0.5 * (arm.lower + arm.upper)).clamp(-1.0, 1.0).numpy()
     target = arm.forward(torch.from_numpy(q)).numpy()
@@ -102,7 +103,7 @@ def _server(config: BenchmarkServerConfig) -> Iterator[str]:
     """The real command in a process of its own; yields its address."""
     command = [sys.executable, "-m", "lerobot_mimicik.cli.main", "serve", f"--solvers={config.solver}"]
     command += [f"--policy.path={config.policy.path}"] if config.policy.path else []
-    command += [f"--robot={config.robot}", f"--bind={config.bind}", "--rate=0", "--threads=1"]
+    command += [f"--arm={config.arm}", f"--bind={config.bind}", "--rate=0", "--threads=1"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:

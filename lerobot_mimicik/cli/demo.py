@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.cli.options import bare_switches, decimals, parse
+from lerobot_mimicik.cli.options import decimals, parse
 from lerobot_mimicik.evaluation import training_process
 
 HELP = "Go the whole way: make a dataset, train a policy on it, measure it, write a report with figures."
@@ -33,14 +33,17 @@ _HELD_OUT_SHARE, _HELD_OUT_SAMPLES, _EVALUATIONS = 0.05, 2048, 10
 
 @dataclass
 class DemoConfig:
-    """Options of `mimicik demo`."""
+    """Options of `mimicik demo`.
+
+    Example: `mimicik demo --steps=500 --output=outputs/demo`
+    """
 
     # synthetic: generated teleoperation. ee: recorded end-effector motion, given by --input.
     source: str = "synthetic"
     # source=ee: file, folder or LeRobot dataset with end-effector motion (see mimicik make-dataset --help).
     input: str = ""
     # A shipped arm (`mimicik arms` lists them) or the path of a URDF.
-    robot: str = "airbot_play"
+    arm: str = "airbot_play"
     # Comfortable configuration to begin from, in the joints' order [rad, m], comma-separated; empty: the arm's own,
     # else one that is found.
     home: str = ""
@@ -80,7 +83,7 @@ class DemoData:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    config = parse(DemoConfig, bare_switches(argv, DemoConfig), "mimicik demo")
+    config = parse(DemoConfig, argv, "mimicik demo")
     begin = time.monotonic()
     with outputs.alone(config.output):
         page = run(config)
@@ -107,7 +110,7 @@ def run(config: DemoConfig) -> Path:
 
     if config.input:
         check_exists(config.input, "--input")
-    describe_arm(config.robot)
+    describe_arm(config.arm)
     if config.device:
         check_device(config.device)
     output = Path(config.output)
@@ -167,7 +170,7 @@ def make_data(config: DemoConfig, folder: Path) -> DemoData:
     note = folder / "summary.txt"
     if note.is_file() and all(_is_dataset(root) for root in (train, test, ood)):
         return DemoData(train, test, ood, note.read_text())
-    description = with_home(describe_arm(config.robot), decimals(config.home, "--home"))
+    description = with_home(describe_arm(config.arm), decimals(config.home, "--home"))
     if config.source == "synthetic":
         made = make_synthetic(
             folder,
@@ -189,7 +192,7 @@ def make_data(config: DemoConfig, folder: Path) -> DemoData:
                 source="ee",
                 input=config.input,
                 output=str(folder),
-                robot=RobotOptions(name=config.robot, home=",".join(map(str, description.home))),
+                robot=RobotOptions(name=config.arm, home=",".join(map(str, description.home))),
                 episodes=config.episodes,
                 test_share=config.test_share,
                 seed=config.seed,
@@ -237,7 +240,7 @@ def train_policy(config: DemoConfig, recipe: Path, data: DemoData, output: Path)
         f"--log_freq={log_freq}",
         f"--seed={config.seed}",
         *_held_out(data.train, steps),
-        f"--policy.urdf={config.robot}",
+        f"--policy.urdf={config.arm}",
         *([f"--policy.device={config.device}"] if config.device else []),
     ]
     training_process.train_or_resume(fresh, run, steps, log_freq, output / "logs")

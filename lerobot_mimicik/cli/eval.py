@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.cli.options import join_repeated, numbers, parse, renamed, words
+from lerobot_mimicik.cli.options import join_repeated, numbers, parse, say_loading, spelled, words
 from lerobot_mimicik.kinematics.names import did_you_mean
 
 if TYPE_CHECKING:
@@ -40,7 +40,10 @@ class DatasetSource:
 
 @dataclass
 class EvalConfig:
-    """Options of `mimicik eval`."""
+    """Options of `mimicik eval`.
+
+    Example: `mimicik eval --policy.path=outputs/demo/train --dataset=outputs/demo/data/test --solvers=mimicik,guided`
+    """
 
     policy: PolicySource = field(default_factory=PolicySource)
     dataset: DatasetSource = field(default_factory=DatasetSource)
@@ -68,8 +71,8 @@ class EvalConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    arguments = renamed(argv, {"--out": "--output", "--mode": "--modes"})
-    config = parse(EvalConfig, join_repeated(arguments, "--dataset.root"), "mimicik eval")
+    arguments = join_repeated(spelled(argv, EvalConfig), "--dataset.root")
+    config = parse(EvalConfig, arguments, "mimicik eval")
     rows: list[dict[str, Any]] = []
     with outputs.alone(config.output):
         run(config, rows=rows, command=shlex.join(["mimicik", "eval", *arguments]))
@@ -105,6 +108,8 @@ def run(
     if not roots:
         raise ValueError("--dataset.root is missing: the folder of a LeRobot dataset.")
     _check_paths(config, roots)
+    if progress:
+        say_loading()
     import torch
 
     from lerobot_mimicik.checkpoints import LEARNED, kind_of, load_policy

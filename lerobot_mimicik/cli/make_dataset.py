@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.cli.options import bare_switches, decimals, parse, words
+from lerobot_mimicik.cli.options import decimals, parse, words
 from lerobot_mimicik.data.retargeting.cleaning import CleaningOptions
 from lerobot_mimicik.data.retargeting.placement import PlacementOptions
 from lerobot_mimicik.data.retargeting.recordings import SourceColumns
@@ -144,6 +144,8 @@ class MakeDatasetConfig:
     source=joints writes OUTPUT from logs of an arm's joints (parquet or CSV, or a folder of such files): time,
     measured joints (q1, q2, ... or the joints' names) and, where --columns.commands names them, commanded ones.
     source=stress writes OUTPUT/KIND for each kind of stress set (see docs/stress.md), for any arm.
+
+    Example: `mimicik make-dataset --source=ee --input=recordings --arm=airbot_play --output=data/hand`
     """
 
     # synthetic: generated teleoperation; ee: retargeted end-effector recordings; joints: an arm's logs; stress:
@@ -399,8 +401,8 @@ def _table_columns(options: ColumnOptions) -> dict[str, Any]:
 
 
 def _expanded(argv: Sequence[str]) -> list[str]:
-    """The command line as draccus wants it: a bare switch means true, `--arm=NAME` and `--robot=NAME` the arm."""
-    return [_arm_option(argument) for argument in bare_switches(argv, MakeDatasetConfig)]
+    """The command line with `--arm=NAME` and `--robot=NAME` written out as `--robot.name=NAME`."""
+    return [_arm_option(argument) for argument in argv]
 
 
 def _arm_option(argument: str) -> str:

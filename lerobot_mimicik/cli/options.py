@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from typing import get_type_hints
 
@@ -11,9 +11,31 @@ import draccus
 
 from lerobot_mimicik.kinematics.names import did_you_mean
 
+# Other spellings of an option and what it is called where the first does not exist: those of LeRobot's commands, which
+# mean the same everywhere, and those of earlier versions, which are answered with a word.
+_SAME = {
+    "--dataset": ("--dataset.root", "--datasets"),
+    "--dataset.root": ("--dataset", "--datasets"),
+    "--datasets": ("--dataset", "--dataset.root"),
+    "--policy": ("--policy.path",),
+    "--policy.path": ("--checkpoint",),
+}
+_FORMER = {
+    "--checkpoint": ("--policy.path",),
+    "--dataset_root": ("--dataset", "--dataset.root"),
+    "--mode": ("--modes",),
+    "--out": ("--output",),
+    "--output_dir": ("--output",),
+    "--robot": ("--arm",),
+    "--urdf": ("--arm",),
+}
+
 
 def parse[Config](config_class: type[Config], argv: Sequence[str], prog: str) -> Config:
     """The options on a command line.
+
+    A switch may stand without `=true`, and dashes for underscores. One vocabulary holds in all commands: spellings of
+    LeRobot's and of earlier versions are understood where they name an option of another name.
 
     Args:
         config_class: a dataclass whose fields are the options; those of a dataclass in it are `--outer.inner`.
@@ -25,6 +47,14 @@ def parse[Config](config_class: type[Config], argv: Sequence[str], prog: str) ->
         SystemExit: with 0 after the help.
         draccus.utils.DraccusException: a value is not of its option's type.
     """
+    argv = bare_switches(spelled(underscored(argv), config_class), config_class)
+    for argument in argv:
+        option, _, group = argument.partition("=")
+        if option in ("--help", "-h"):
+            from lerobot_mimicik.cli.help_text import help_text
+
+            print(help_text(config_class, prog, group))
+            raise SystemExit(0)
     known = [*_options(config_class), "--help", "-h", "--config_path"]
     for argument in argv:
         option = argument.partition("=")[0]
@@ -33,6 +63,28 @@ def parse[Config](config_class: type[Config], argv: Sequence[str], prog: str) ->
                 f"there is no option {option}.{did_you_mean(option, known)} {prog} --help lists all."
             )
     return draccus.parse(config_class, args=list(argv), prog=prog)
+
+
+def say_loading() -> None:
+    """A sign of life before imports that take seconds, on stderr."""
+    print("Loading torch and LeRobot ...", file=sys.stderr, flush=True)
+
+
+def spelled(argv: Sequence[str], config_class: type) -> list[str]:
+    """The command line with other spellings of options replaced by this command's, with a word about former ones."""
+    known = set(_options(config_class))
+    groups = {f"--{name}" for name, kind in get_type_hints(config_class).items() if is_dataclass(kind)}
+    arguments = []
+    for argument in argv:
+        option, equals, value = argument.partition("=")
+        if option not in known - groups:
+            same = next((each for each in _SAME.get(option, ()) if each in known - groups), None)
+            former = next((each for each in _FORMER.get(option, ()) if each in known - groups), None)
+            if same is None and former is not None:
+                print(f"{option} is now written {former}", file=sys.stderr)
+            option = same or former or option
+        arguments.append(f"{option}{equals}{value}")
+    return arguments
 
 
 def _options(config_class: type, above: str = "--") -> list[str]:
@@ -65,17 +117,6 @@ def underscored(argv: Sequence[str]) -> list[str]:
         arguments.append(
             f"--{name[2:].replace('-', '_')}{equals}{value}" if name.startswith("--") else argument
         )
-    return arguments
-
-
-def renamed(argv: Sequence[str], names: Mapping[str, str]) -> list[str]:
-    """The command line with old spellings of options replaced by the new ones, and a word about each on stderr."""
-    arguments = []
-    for argument in argv:
-        option, equals, value = argument.partition("=")
-        if option in names:
-            print(f"{option} is now written {names[option]}", file=sys.stderr)
-        arguments.append(f"{names.get(option, option)}{equals}{value}")
     return arguments
 
 

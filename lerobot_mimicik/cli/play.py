@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from lerobot_mimicik.cli.options import numbers, parse, underscored, words
+from lerobot_mimicik.cli.options import numbers, parse, words
 from lerobot_mimicik.kinematics.names import did_you_mean
 
 if TYPE_CHECKING:
@@ -56,10 +56,7 @@ class PlayConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    arguments = [
-        "--dataset" + a[len("--dataset.root") :] if a.startswith("--dataset.root") else a for a in argv
-    ]
-    config = parse(PlayConfig, underscored(arguments), "mimicik play")
+    config = parse(PlayConfig, argv, "mimicik play")
     _check(config)
     print("Preparing the arm and its solvers ...", flush=True)
     try:

@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from lerobot_mimicik.cli.eval import PolicySource
-from lerobot_mimicik.cli.options import parse, underscored, words
+from lerobot_mimicik.cli.options import parse, say_loading, words
 from lerobot_mimicik.kinematics.names import did_you_mean
 
 if TYPE_CHECKING:
@@ -24,13 +24,16 @@ _LEARNED = ("mimicik", "mimicik_guided")  # solvers that need the checkpoint
 
 @dataclass
 class ServeConfig:
-    """Options of `mimicik serve`."""
+    """Options of `mimicik serve`.
+
+    Example: `mimicik serve --policy.path=outputs/demo/train --bind=tcp://127.0.0.1:5555`
+    """
 
     policy: PolicySource = field(default_factory=PolicySource)
     # Solvers to answer for; empty: hold, and mimicik where there is a checkpoint.
     solvers: str = ""
     # A shipped arm, or the path of a URDF; empty: the checkpoint's, else airbot_play.
-    robot: str = ""
+    arm: str = ""
     # tcp://HOST:PORT (port 0: a free one) or ipc://PATH. Other than 127.0.0.1 needs keys.
     bind: str = "tcp://127.0.0.1:5555"
     # Where the policy runs (cpu, cuda, mps); empty: as its configuration says.
@@ -57,7 +60,7 @@ class ServeConfig:
 
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
-    config = parse(ServeConfig, underscored(argv), "mimicik serve")
+    config = parse(ServeConfig, argv, "mimicik serve")
     try:
         from lerobot_mimicik.serving.security import make_keys
     except ModuleNotFoundError as error:
@@ -87,8 +90,8 @@ def _check_paths(config: ServeConfig) -> None:
 
     if config.policy.path:
         find_checkpoint(config.policy.path)
-    if config.robot:
-        describe_arm(config.robot)
+    if config.arm:
+        describe_arm(config.arm)
     if config.device:
         check_device(config.device)
     for option in ("secret_key", "allowed_keys"):
@@ -103,6 +106,7 @@ def make_server(config: ServeConfig) -> IKServer:
         ValueError: If an option does not fit; the message names it and what exists.
         OSError: If a file is missing or the address cannot be had.
     """
+    say_loading()
     import torch
 
     from lerobot_mimicik.serving.limits import Limits
@@ -141,16 +145,16 @@ def _solvers(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], IKS
     if learned and not config.policy.path:
         raise ValueError(f"--solvers names {learned[0]}, but --policy.path is missing: which checkpoint?")
     options: dict[str, dict[str, object]] = {}
-    description = describe_arm(config.robot or "airbot_play")
+    description = describe_arm(config.arm or "airbot_play")
     if learned:
         policy = load_policy(config.policy.path, config.device or None)
         options = {name: {"policy": policy} for name in learned}
         own = policy.config.arm_description()
-        if config.robot and own.joint_names != description.joint_names:
+        if config.arm and own.joint_names != description.joint_names:
             raise ValueError(
-                f"--robot={config.robot} has joints {', '.join(description.joint_names)}, "
+                f"--arm={config.arm} has joints {', '.join(description.joint_names)}, "
                 f"the policy drives {', '.join(own.joint_names)}."
             )
-        description = description if config.robot else own
+        description = description if config.arm else own
     arm = SerialArm(description, dtype=torch.float64)
     return arm, {name: partial(make_solver, name, arm, **options.get(name, {})) for name in names}

@@ -59,7 +59,7 @@ def read_report(path: str | Path) -> dict[str, Any]:
     file = path / REPORT_NAME if path.is_dir() else path
     if not file.is_file():
         raise FileNotFoundError(
-            f"{file} does not exist: expected the report that `mimicik eval --out=` writes"
+            f"{file} does not exist: expected the report that `mimicik eval --output=` writes"
         )
     try:
         report = json.loads(file.read_text(encoding="utf-8"))

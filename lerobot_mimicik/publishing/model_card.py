@@ -152,7 +152,7 @@ def _accuracy(name: str, report: Mapping[str, Any] | None) -> str:
         return (
             "No evaluation is recorded for these weights. To measure them on recorded motion, and to add the "
             "table here:\n\n"
-            f"```bash\nmimicik eval --policy.path={name} --dataset.root=DATASET --out=outputs/eval\n```\n\n"
+            f"```bash\nmimicik eval --policy.path={name} --dataset.root=DATASET --output=outputs/eval\n```\n\n"
             "```python\n"
             "from lerobot_mimicik.modeling_mimicik import MimicIKPolicy\n\n"
             f'policy = MimicIKPolicy.from_pretrained("{name}")\n'
@@ -212,7 +212,7 @@ def _use(policy: MimicIKPolicy, name: str, fps: float | None) -> str:
         "command line:\n\n"
         "```bash\n"
         "# How accurate is it?\n"
-        f"mimicik eval --policy.path={name} --dataset.root=DATASET --out=outputs/eval\n"
+        f"mimicik eval --policy.path={name} --dataset.root=DATASET --output=outputs/eval\n"
         "# Train it further.\n"
         f"lerobot-train --policy.path={name} --dataset.repo_id=USER/DATASET\n"
         "```\n"

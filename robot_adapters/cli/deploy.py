@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.cli.options import parse
+from lerobot_mimicik.cli.options import parse, say_loading
 
 if TYPE_CHECKING:
     from lerobot_mimicik.evaluation.evaluate import Recording
@@ -44,7 +44,10 @@ class MotionSource:
 
 @dataclass
 class DeployConfig:
-    """Options of `mimicik deploy`. Writes report.json and report.md, as `mimicik eval`, and deployment.json."""
+    """Options of `mimicik deploy`. Writes report.json and report.md, as `mimicik eval`, and deployment.json.
+
+    Example: `mimicik deploy --interface=virtual --real_time=false --output=outputs/deploy`
+    """
 
     policy: PolicyPath = field(default_factory=PolicyPath)
     dataset: MotionSource = field(default_factory=MotionSource)
@@ -72,17 +75,15 @@ class DeployConfig:
     # Write what rerun would show to this file (.rrd) instead of opening its viewer.
     display_file: str = ""
     # Where the report goes.
-    out: str = "outputs/deploy"
+    output: str = "outputs/deploy"
     # For the simulated arm's noise and generated motion.
     seed: int = 0
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the command; status 1 where the arm stopped before the end."""
-    from lerobot_mimicik.cli.options import bare_switches
-
-    config = parse(DeployConfig, bare_switches(argv, DeployConfig), "mimicik deploy")
-    with outputs.alone(config.out):
+    config = parse(DeployConfig, argv, "mimicik deploy")
+    with outputs.alone(config.output):
         summary, row = run(config)
     from lerobot_mimicik.evaluation.report import markdown_table
 
@@ -101,7 +102,7 @@ def main(argv: Sequence[str]) -> int:
         "protections",
     ):
         print(f"{key}: {json.dumps(summary[key])}")
-    print(f"Report: {config.out}/report.json, {config.out}/deployment.json")
+    print(f"Report: {config.output}/report.json, {config.output}/deployment.json")
     if summary["stopped"]:
         print(f"The arm stopped: {summary['stopped']}", file=sys.stderr)
         return 1
@@ -139,6 +140,8 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
         from robot_adapters.display import check_recording
 
         check_recording(config.display_file)
+    if progress:
+        say_loading()
     import torch
 
     from lerobot_mimicik.evaluation.evaluate import make_evaluation
@@ -148,7 +151,7 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     from lerobot_mimicik.evaluation.rollouts import Rollout
     from lerobot_mimicik.kinematics.chain import SerialArm
 
-    outputs.claim(config.out, "report")
+    outputs.claim(config.output, "report")
     torch.set_num_threads(config.threads)
     adapter = _adapter(config)
     arm = SerialArm(adapter.description, dtype=torch.float64)
@@ -166,9 +169,9 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     solve = [ms for log in logs for ms in log.solve_ms]
     latency = Latency(_percentile(solve, 50), _percentile(solve, 99), len(solve))
     evaluation = make_evaluation(arm, extra["ik"]["solver"], "plant", recording, traces, latency)
-    write_report(config.out, [evaluation.row], [recording], asdict(config))
+    write_report(config.output, [evaluation.row], [recording], asdict(config))
     summary = _summary(logs) | extra | {"tool_error_mm": _tool_error(adapter, recording, logs)}
-    (Path(config.out) / "deployment.json").write_text(json.dumps(summary, indent=2) + "\n")
+    (Path(config.output) / "deployment.json").write_text(json.dumps(summary, indent=2) + "\n")
     return summary, evaluation.row
 
 

@@ -20,7 +20,10 @@ class PolicyPath:
 
 @dataclass
 class DoctorConfig:
-    """Options of `mimicik doctor`."""
+    """Options of `mimicik doctor`.
+
+    Example: `mimicik doctor --interface=socketcan --channel=can0 --policy.path=outputs/demo/train`
+    """
 
     policy: PolicyPath = field(default_factory=PolicyPath)
     # Which arm: airbot_play.

@@ -13,7 +13,10 @@ HELP = "Put a simulated arm on a bus, for robots and commands in other processes
 
 @dataclass
 class SimulateConfig:
-    """Options of `mimicik simulate`."""
+    """Options of `mimicik simulate`.
+
+    Example: `mimicik simulate --interface=udp_multicast`
+    """
 
     # Which arm: airbot_play, or openarm_left, openarm_right for LeRobot's own openarm_follower (can_interface=udp_multicast,
     # use_can_fd=false, port=239.74.163.2).

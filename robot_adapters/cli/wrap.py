@@ -25,6 +25,8 @@ class WrapConfig:
 
     Without --ik.path the robot takes poses (airbot_play_ee), and a policy without cameras is only given its state
     as environment state, as LeRobot's policies want it and robots do not give it.
+
+    Example: `mimicik wrap --policy.path=POLICY --ik.path=outputs/demo/train --output=outputs/wrapped`
     """
 
     policy: PolicyPath = field(default_factory=PolicyPath)
