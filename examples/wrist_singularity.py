@@ -15,13 +15,13 @@ from matplotlib import pyplot as plt
 from matplotlib.animation import FuncAnimation, PillowWriter
 from new_solver import LeastSquares  # the example beside this one
 
-from lerobot_mimicik.data.stress.tremor import tremor
 from lerobot_mimicik.evaluation.rollouts import make_rollouts
 from lerobot_mimicik.evaluation.trajectories import Trajectory
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.kinematics.poses import PoseFormat, compose, decode_pose
+from lerobot_mimicik.kinematics.tremor import tremor
 from lerobot_mimicik.solvers import IKSolver, make_solver
 from lerobot_mimicik.solvers.base import Array
 

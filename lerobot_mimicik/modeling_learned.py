@@ -116,6 +116,10 @@ class LearnedIKPolicy(PreTrainedPolicy):
 
             table = FrameTable(LeRobotDataset(meta.repo_id, root=meta.root))
         check_table(table, self.config, str(meta.root))
+        self.prepare(table, meta)
+
+    def prepare(self, table: FrameTable, meta: LeRobotDatasetMetadata) -> None:
+        """Takes from the training episodes what training needs beside its batches."""
         if self.config.pretrained_path is None:  # else the checkpoint's statistics belong to its weights
             self.fit_normalisation(table)
 
@@ -180,20 +184,20 @@ class LearnedIKPolicy(PreTrainedPolicy):
         noise, time = self._noise(batch, action)
         network = self.network if self.training else self.average.network
         loss = self.objective.loss(network, obs, action, noise, time)
-        log = {f"{self.objective.name}_loss": _mean(loss, frames.valid).item()}
+        log = {f"{self.objective.name}_loss": mean_of_valid(loss, frames.valid).item()}
         if self.training and self.config.fk_weight > 0:
             fk_inputs = (obs, frames.q[:, -1], frames.pose_target[:, -1], noise, frames.valid)
             if self.config.fk_update == "joint":
                 fk_loss = self._fk_loss(*fk_inputs)
                 loss = loss + self.config.fk_weight * fk_loss
-                log["fk_loss"] = _mean(fk_loss, frames.valid).item()
+                log["fk_loss"] = mean_of_valid(fk_loss, frames.valid).item()
             else:
                 self._fk_inputs = fk_inputs
                 self._optimiser.watch()
                 log |= self._fk_report
         if reduction == "none":
             return loss * frames.valid, log
-        return _mean(loss, frames.valid), log
+        return mean_of_valid(loss, frames.valid), log
 
     def update(self) -> None:
         """What follows LeRobot's optimiser step: the FK pass, then the moving average."""
@@ -201,7 +205,7 @@ class LearnedIKPolicy(PreTrainedPolicy):
             inputs, self._fk_inputs = self._fk_inputs, None
 
             def weighted_loss() -> Tensor:
-                return self.config.fk_weight * _mean(self._fk_loss(*inputs), inputs[-1])
+                return self.config.fk_weight * mean_of_valid(self._fk_loss(*inputs), inputs[-1])
 
             loss, norm = self._optimiser.step(weighted_loss, self.config.grad_clip_norm)
             self._fk_report = {"fk_loss": loss.item() / self.config.fk_weight, "fk_grad_norm": norm.item()}
@@ -270,17 +274,22 @@ class LearnedIKPolicy(PreTrainedPolicy):
         if obs.ndim == 2:
             obs = self._remember(obs)
             q = q.unsqueeze(1)
-        q_last = q[:, -1]
-        if noise is None:
-            index = torch.arange(len(q), device=q.device)
-            width = self.objective.draws * self.config.dof
-            noise = sample_normal(index, width, seed=int(self.noise_seed), step=self._queries)
-        self._queries += 1
-        delta = self.objective.predict(self.average.network, obs, noise)
+        drawn = self._drawn(len(q), q.device)
+        delta = self.objective.predict(self.average.network, obs, drawn if noise is None else noise)
         if self.config.clip_delta:
             delta = delta.clamp(-1, 1)
-        command = q_last + self.delta.unnormalise(delta)
-        # Joints measured a little outside their limits must stay commandable: never push them further out.
+        return self._within_limits(q[:, -1], self.delta.unnormalise(delta))
+
+    def _drawn(self, queries: int, device: torch.device) -> Tensor:
+        """Noise for the next queries, shape (B, draws * dof)."""
+        index = torch.arange(queries, device=device)
+        width = self.objective.draws * self.config.dof
+        self._queries += 1
+        return sample_normal(index, width, seed=int(self.noise_seed), step=self._queries - 1)
+
+    def _within_limits(self, q_last: Tensor, step: Tensor) -> Tensor:
+        """Commands, shape (B, dof); joints measured outside their limits are never pushed further out."""
+        command = q_last + step
         lower, upper = self.arm.lower.to(q_last), self.arm.upper.to(q_last)
         return command.clamp(torch.minimum(lower, q_last), torch.maximum(upper, q_last))
 
@@ -374,6 +383,6 @@ class LearnedIKPolicy(PreTrainedPolicy):
         return command
 
 
-def _mean(values: Tensor, valid: Tensor) -> Tensor:
+def mean_of_valid(values: Tensor, valid: Tensor) -> Tensor:
     """Mean over the valid samples, a scalar."""
     return (values * valid).sum() / valid.sum().clamp(min=1)

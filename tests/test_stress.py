@@ -8,11 +8,11 @@ import pytest
 from lerobot_mimicik.data.home import with_home
 from lerobot_mimicik.data.stress.closest import closest_poses, descend, pose_cost
 from lerobot_mimicik.data.stress.sets import KINDS, make_stress, stress_cases
-from lerobot_mimicik.data.stress.tremor import tremor
 from lerobot_mimicik.data.writer import CLEAN_KEY, CLOSEST_KEY
 from lerobot_mimicik.evaluation.trajectories import load_trajectories
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.kinematics.tremor import tremor
 
 FPS = 20
 

@@ -169,6 +169,10 @@ class MakeDatasetConfig:
     test_share: float | None = None
     # source=synthetic: also write the near-singular trajectories.
     ood: bool = True
+    # source=synthetic: steady hands and exact sensors, to learn foresight from.
+    clean: bool = False
+    # source=synthetic: fraction of episodes that show how to leave a singularity.
+    recovery: float = 400 / 6427
     # source=ee: task sentence for recordings without one.
     task: str = "follow the recorded hand motion"
     # Source of all randomness: the same seed gives the same dataset, whatever the number of workers.
@@ -246,7 +250,8 @@ def run(
 
         if config.episodes <= 0:
             raise ValueError(f"--episodes must be positive with --source=synthetic, got {config.episodes}")
-        defaults = SyntheticConfig()
+        recording = SyntheticConfig.clean if config.clean else SyntheticConfig
+        lag = {} if config.lag is None else {"lag_s": config.lag}
         return make_synthetic(
             Path(config.output),
             config.episodes,
@@ -255,9 +260,7 @@ def run(
             workers=config.workers,
             test_share=_SYNTHETIC_TEST_SHARE if config.test_share is None else config.test_share,
             ood=config.ood,
-            config=SyntheticConfig(
-                fps=config.fps, lag_s=defaults.lag_s if config.lag is None else config.lag
-            ),
+            config=recording(fps=config.fps, recovery_share=config.recovery, **lag),
             progress=progress,
             overwrite=config.overwrite,
             space=config.space,

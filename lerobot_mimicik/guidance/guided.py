@@ -34,6 +34,7 @@ from lerobot_mimicik.guidance.orientation import free_axis, service, unserved_tu
 from lerobot_mimicik.guidance.planner import Planner
 from lerobot_mimicik.guidance.search import closest_configuration, kernel_task
 from lerobot_mimicik.guidance.settings import GuidanceSettings
+from lerobot_mimicik.guidance.steadying import Foresees, steadied
 from lerobot_mimicik.guidance.user_terms import CostTerm
 
 Array = NDArray[np.float64]
@@ -88,11 +89,17 @@ class Guidance:
         settings: Weights, bounds and tolerances.
         terms: Costs of the user's own.
         served: What the arm serves of a target.
+        foresight: Makes trembling targets steady where the next ones are not known; None leaves them as they are.
     """
 
     def __init__(
-        self, model: ArmModel, settings: GuidanceSettings | None = None, terms: Sequence[CostTerm] = ()
+        self,
+        model: ArmModel,
+        settings: GuidanceSettings | None = None,
+        terms: Sequence[CostTerm] = (),
+        foresight: Foresees | None = None,
     ) -> None:
+        self.foresight = foresight
         self.model, self.settings, self.terms = model, settings or GuidanceSettings(), tuple(terms)
         given = self.settings
         self.served = service(model, given)
@@ -117,6 +124,8 @@ class Guidance:
         self._past = np.stack([np.asarray(q, dtype=float)] * 3)
         self._plan, self._turning = None, 1.0
         self._branch.cancel()
+        if self.foresight is not None:
+            self.foresight.reset(self._past[2])
 
     def commanded(self, q: Array) -> None:
         """Say that `q` (dof,) was sent in place of the last command; where it is that command, the plan stays."""
@@ -143,14 +152,17 @@ class Guidance:
         goal = self._branch.follow(target)
         if goal is not None:
             return self._on_the_way(past, goal, target)
-        targets = target[None]
+        aim = target
+        if self.foresight is not None and (upcoming is None or not len(upcoming)):
+            aim = steadied(self.foresight, self.model, self.settings, past[2], target)
+        targets = aim[None]
         if upcoming is not None and len(upcoming):
             targets = np.concatenate([targets, upcoming[: self.settings.horizon - 1]])
         rotations, positions = split_poses(targets)
         if self.served.position_first:
             rotations = within_leash(self.model, past[2], rotations)
-        proposed, trust = self._trusted(past[2], rotations[0], positions[0], target, prior)
-        plan, cost = self._planned(past, rotations, positions, proposed, trust, target)
+        proposed, trust = self._trusted(past[2], aim, prior)
+        plan, cost = self._planned(past, rotations, positions, proposed, trust, aim)
         self._plan = plan if len(targets) > 1 else None
         q = self._kept_clear(past[2], plan[0])
         source = "prior" if trust > 0.5 else "guided"
@@ -193,9 +205,7 @@ class Guidance:
 
     # ---- prior --------------------------------------------------------------------------------------------------
 
-    def _trusted(
-        self, start: Array, rotation: Array, position: Array, target: Array, prior: Callable | None
-    ) -> tuple[Array, float]:
+    def _trusted(self, start: Array, target: Array, prior: Callable | None) -> tuple[Array, float]:
         """The prior's command within the bounds, and the fraction of its weight that it earns.
 
         It earns it by how well its own command meets the target: fully where it is met, half at a millimetre, and not at
@@ -328,4 +338,6 @@ class Guidance:
         # History lies in the branch that is being left: the arm begins anew at every frame of the way.
         solution = Solution(q, found, q[None], np.nan, 0.0, True)
         self._past = np.stack([q] * 3)
+        if self.foresight is not None:
+            self.foresight.reset(q)
         return solution

@@ -110,6 +110,8 @@ class GuidanceSettings:
         horizon: Most frames that are planned at once.
         posture: Weight of the pull to a posture, for arms with joints to spare; 0 on arms of up to six.
         prior: Weight of a trusted prior.
+        foresight_radius, foresight_angle: How far a target may be moved towards what a learned prior foresees [m, rad].
+        foresight_gain: How far at most, as a multiple of the root mean square of the targets' own trembling.
         collision: Weight of keeping the arm's bodies apart.
         collision_margin: Gap between bodies that no command lowers, where one exists that does not [m].
         collision_zone: Gap below which bodies push each other apart [m].
@@ -140,6 +142,9 @@ class GuidanceSettings:
     horizon: int = 8
     posture: float = 1e-5
     prior: float = 1e-3
+    foresight_radius: float = 0.0015
+    foresight_angle: float = 0.014
+    foresight_gain: float = 2.0
     collision: float = 1e-3
     collision_margin: float = 0.005
     collision_zone: float = 0.02

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.stress.case import displaced
-from lerobot_mimicik.data.stress.tremor import tremor
 from lerobot_mimicik.evaluation.metrics import jerk_of
 from lerobot_mimicik.guidance.certificate import Reason, at_limits, is_singular, smallest_singular
 from lerobot_mimicik.guidance.model import ArmModel, arm_model
 from lerobot_mimicik.guidance.settings import GuidanceSettings
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.tremor import displaced, tremor
 from lerobot_mimicik.solvers.base import Array, IKSolver
 from lerobot_mimicik.solvers.iterative import MAX_STEP
 from lerobot_mimicik.viewing.motions import FPS, Motion

@@ -6,6 +6,7 @@ folder is installed as `lerobot_policy_mimicik`.
 
 import lerobot_mimicik.baselines.configuration_mlp
 import lerobot_mimicik.baselines.configuration_unet
+import lerobot_mimicik.configuration_foresight
 import lerobot_mimicik.configuration_mimicik  # noqa: F401
 import robot_adapters.robots.config_airbot_play
 import robot_adapters.robots.config_mimicik_ee

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from lerobot_mimicik.data.arm_arrays import ArmArrays, Array
 from lerobot_mimicik.data.writer import Episode
+from lerobot_mimicik.kinematics.tremor import displaced
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +47,3 @@ class StressCase:
             ee_target_clean=self.clean,
             ee_target_closest=self.closest,
         )
-
-
-def displaced(poses: Array, twist: Array) -> Array:
-    """Poses (T, 7) moved by `twist` (T, 6), m and rotation vector in rad, in the base frame."""
-    turned = Rotation.from_rotvec(twist[:, 3:]) * Rotation.from_quat(poses[:, 3:])
-    return np.column_stack([poses[:, :3] + twist[:, :3], turned.as_quat(canonical=True)])

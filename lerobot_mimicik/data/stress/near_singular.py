@@ -7,7 +7,7 @@ import numpy as np
 from lerobot_mimicik.data.arm_arrays import ArmArrays, Array
 from lerobot_mimicik.data.stress.case import StressCase
 from lerobot_mimicik.data.stress.motion import everyday_motion, moves
-from lerobot_mimicik.data.stress.tremor import tremor
+from lerobot_mimicik.kinematics.tremor import tremor
 
 _LEVER_M = 0.15  # weighs rotation against translation in singular values
 _STARTS, _ITERATIONS, _PROBE = 96, 12, 1e-4

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_mimicik.data.arm_arrays import ArmArrays, Array
-from lerobot_mimicik.data.stress.case import StressCase, displaced
+from lerobot_mimicik.data.stress.case import StressCase
 from lerobot_mimicik.data.stress.closest import closest_poses, follow_closest
 from lerobot_mimicik.data.stress.motion import eased, everyday_motion
+from lerobot_mimicik.kinematics.tremor import displaced
 
 _BEYOND = (1.02, 1.15)  # of the longest reach
 _CONE = 0.4  # spread of the direction about straight outwards, as a share of its length

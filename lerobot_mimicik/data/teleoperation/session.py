@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -57,6 +58,7 @@ class SyntheticConfig:
         label_noise_m, label_noise_rad: the same of each frame.
         stray_m: how far the hand's target may leave the commanded pose near a singularity in recovery
             episodes and near-singular trajectories [m].
+        tremor: factor on the trembling of hands.
     """
 
     fps: int = 20
@@ -75,6 +77,16 @@ class SyntheticConfig:
     label_noise_m: float = 1e-4
     label_noise_rad: float = 3e-4
     stray_m: float = 4e-3
+    tremor: float = 1.0
+
+    @classmethod
+    def clean(cls, **others: Any) -> "SyntheticConfig":
+        """Steady hands and exact sensors: what a hand means to do, and nothing else."""
+        noise = (
+            "lag_s", "quantum", "sensor_noise", "repeatability", "label_offset_m", "label_offset_rad",
+            "label_noise_m", "label_noise_rad", "stray_m", "tremor",
+        )  # fmt: skip
+        return cls(**(dict.fromkeys(noise, 0.0) | others))
 
     def __post_init__(self) -> None:
         positive = ("fps", "episode_s", "episodes_per_session", "ood_episodes", "ood_s", "max_step")
@@ -215,7 +227,8 @@ class _Session:
     def episode(self, task: str, motion: Array, stray: bool) -> Episode:
         """Adds tremor to a joint motion (frames, dof) and records it as command, state and pose labels."""
         config, arm, rng = self.config, self.scene.arm, self.rng
-        shaking = damped_step(arm.jacobian(motion), tremor(self.style, len(motion), config.fps, rng))
+        trembling = config.tremor * tremor(self.style, len(motion), config.fps, rng)
+        shaking = damped_step(arm.jacobian(motion), trembling)
         command = motion + limit_norm(shaking, _TREMOR_STEP * config.max_step)
         action = quantise(np.clip(command, arm.lower, arm.upper), config.quantum)
         measured = follow(action, config.lag_s, config.fps)
