@@ -60,19 +60,27 @@ KINDS = (
         "1-D UNet, DDPM with 10 steps (diffusers)",
     ),
 )
-_BY_TYPE = {kind.type: kind for kind in KINDS}
+# No solver by itself: it steadies what the guided one is asked for, and a trained one comes with the package.
+FORESIGHT = LearnedKind(
+    "foresight",
+    "mimicik_foresight",
+    "lerobot_mimicik.configuration_foresight",
+    "foresight.json",
+    "What a hand that trembles means, from its last targets",
+)
+_BY_TYPE = {kind.type: kind for kind in (*KINDS, FORESIGHT)}
 # As tables and solvers call checkpoints: the kinds, and MimicIK trained without the FK consistency loss.
 LEARNED = ("mimicik", "mimicik_nofk", *(kind.name for kind in KINDS[1:]))
 
 
 def register_configurations() -> None:
     """Make every kind known to LeRobot, which knows a policy's type once its configuration is imported."""
-    for kind in KINDS:
+    for kind in _BY_TYPE.values():
         importlib.import_module(kind.configuration)
 
 
 def kind_of(config: LearnedIKConfig) -> str:
-    """What tables call a checkpoint with this configuration, one of `LEARNED`."""
+    """What tables call a checkpoint with this configuration, one of `LEARNED`, or `foresight`."""
     kind = _BY_TYPE[config.type].name
     return "mimicik_nofk" if kind == "mimicik" and config.fk_weight == 0 else kind
 

@@ -35,6 +35,8 @@ class ForesightConfig(LearnedIKConfig):
     steady: float = 0.2
     # Largest factor by which recorded motion is made faster.
     pace: float = 1.0
+    # Largest root mean square of joint velocity that is added to recorded motion [rad/s]: generated hands are too calm.
+    liveliness: float = 0.0
 
     # --- Closed-loop rounds. ---
     # Training steps between rollouts of the policy, and frames of each.
@@ -58,7 +60,7 @@ class ForesightConfig(LearnedIKConfig):
         )
         self.check_share("t_star")
         self.check_share("steady")
-        for name in ("change_weight", "tremor_mm"):
+        for name in ("change_weight", "tremor_mm", "liveliness"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name}={getattr(self, name)}: expected zero or more")
         if not 1 <= self.pace <= 10:

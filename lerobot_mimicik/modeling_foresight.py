@@ -165,7 +165,7 @@ class ForesightPolicy(LearnedIKPolicy):
                 break
             chosen.append(motions[i])
             frames += len(motions[i])
-        hand = Hand(self._fps, config.tremor_mm, config.steady, config.pace)
+        hand = Hand(self._fps, config.tremor_mm, config.steady, config.pace, config.liveliness)
         samples = drive(
             self.features, config.arm_description(), chosen, self._steps, hand, config.change_weight, rng
         )

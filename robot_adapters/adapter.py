@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lerobot_mimicik.foresight.foresight import Foresight
+from lerobot_mimicik.foresight.weights import is_foresight, load_weights, shipped
 from lerobot_mimicik.guidance.approach import towards
 from lerobot_mimicik.guidance.certificate import Certificate, Reason
 from lerobot_mimicik.guidance.guided import Guidance
@@ -127,9 +129,15 @@ class MimicIKAdapter:
     """
 
     def __init__(
-        self, solver: IKSolver | None, description: ArmDescription, settings: AdapterSettings | None = None
+        self,
+        solver: IKSolver | None,
+        description: ArmDescription,
+        settings: AdapterSettings | None = None,
+        foresight: Foresight | None = None,
     ) -> None:
-        """`solver`, or None, proposes joints for the arm of `description`; ValueError for settings that fit neither."""
+        """`solver`, or None, proposes joints for the arm of `description`; `foresight`, or None, makes trembling targets
+        steady. ValueError for settings that do not fit.
+        """
         self.solver, self.description = solver, description
         self.settings = settings or AdapterSettings()
         self.chain = point_chain(description)
@@ -138,27 +146,33 @@ class MimicIKAdapter:
         self._lock = threading.RLock()
         self._command: Array | None = None
         self._solver_knows = False  # whether the solver's history ends at the command in force
-        self._guidance = Guidance(arm_model(description), self.settings)
+        self._guidance = Guidance(arm_model(description), self.settings, foresight=foresight)
 
     @classmethod
-    def for_arm(cls, arm: str | Path | ArmDescription, **settings: Any) -> MimicIKAdapter:
-        """The guided solver alone, without any checkpoint.
+    def for_arm(
+        cls, arm: str | Path | ArmDescription, foresight: str | Path = "", **settings: Any
+    ) -> MimicIKAdapter:
+        """The guided solver alone, without any checkpoint, or with foresight.
 
         Args:
             arm: a shipped arm's name, a URDF file, or a description.
+            foresight: whose weights make trembling targets steady: an arm's in the package, or a checkpoint's folder;
+                empty: none.
             settings: of :class:`AdapterSettings`.
 
         Raises:
-            ValueError, UrdfError, FileNotFoundError: as `describe_arm`; settings out of range.
+            ValueError, UrdfError, FileNotFoundError: as `describe_arm`; settings out of range; as `Foresight.load`.
         """
         description = arm if isinstance(arm, ArmDescription) else describe_arm(str(arm))
-        adapter = cls(None, description, AdapterSettings.of(settings))
+        learned = Foresight.load(foresight, description) if foresight else None
+        adapter = cls(None, description, AdapterSettings.of(settings), learned)
         adapter.warm_up()
         return adapter
 
     @classmethod
     def from_pretrained(cls, path: str | Path, device: str = "cpu", **settings: Any) -> MimicIKAdapter:
-        """Load a MimicIK checkpoint: a folder, a training run's output folder, or a Hub repository.
+        """Load a checkpoint: weights in the package by their arm's name, a folder, a training run's output folder, or a
+        Hub repository.
 
         Args:
             path: where it is.
@@ -168,7 +182,11 @@ class MimicIKAdapter:
         Raises:
             FileNotFoundError, TypeError: if there is no checkpoint, or it is another policy's.
         """
-        from lerobot_mimicik.checkpoints import load_policy
+        from lerobot_mimicik.checkpoints import find_checkpoint, load_policy
+
+        folder = str(path) if str(path) in shipped() else find_checkpoint(str(path))
+        if folder in shipped() or is_foresight(folder):
+            return cls.for_arm(load_weights(folder).description, folder, **settings)
         from lerobot_mimicik.kinematics.chain import SerialArm
         from lerobot_mimicik.solvers.mimicik import MimicIKSolver
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 class IKOptions:
     """What proposes joints beside the guided solver, and how commands are judged; see `AdapterSettings`."""
 
-    # MimicIK checkpoint: a folder, a training run's output folder, or a Hub repository. Empty: the guided solver alone.
+    # MimicIK checkpoint: a folder, a training run's output folder, or a Hub repository; or an arm whose foresight is in
+    # the package (airbot_play). Empty or none: the guided solver alone.
     path: str = ""
     # In its place, an IK server on this or another computer (mimicik serve): tcp://HOST:PORT.
     address: str = ""
@@ -45,14 +46,18 @@ class IKOptions:
             ValueError: with path and address; FileNotFoundError, TypeError: if there is no
                 MimicIK checkpoint; TimeoutError: nobody answers at the address.
         """
+        from lerobot_mimicik.foresight.weights import shipped
         from robot_adapters.adapter import MimicIKAdapter
 
-        if self.path and self.address:
+        path = "" if self.path == "none" else self.path
+        if path and self.address:
             raise ValueError("ik.path and ik.address are both given: which of the two shall answer?")
-        if not self.path and not self.address:
+        if not path and not self.address:
             return MimicIKAdapter.for_arm(arm, **asdict(self.settings()))
-        if self.path:
-            return MimicIKAdapter.from_pretrained(self.path, self.device, **asdict(self.settings()))
+        if path in shipped():
+            return MimicIKAdapter.for_arm(arm, path, **asdict(self.settings()))
+        if path:
+            return MimicIKAdapter.from_pretrained(path, self.device, **asdict(self.settings()))
         from lerobot_mimicik.kinematics.arms import describe_arm
         from lerobot_mimicik.kinematics.chain import SerialArm
         from lerobot_mimicik.solvers import make_solver

@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 # Each room and the rooms that it may import; what is imported for annotations only counts nowhere.
-_FOUNDATION = {"kinematics", "guidance"}
+_FOUNDATION = {"kinematics", "guidance", "foresight"}
 _POLICY = {"configuration", "batches", "policy", "inference", "checkpoints"}
 _LEARNING = (
     _FOUNDATION | _POLICY | {"outputs", "solvers", "data", "evaluation", "serving", "publishing", "viewing"}
@@ -20,12 +20,14 @@ ALLOWED = {
     "outputs": set(),  # how commands treat folders that exist
     "kinematics": set(),
     "guidance": {"kinematics"},
+    "foresight": {"kinematics"},  # the learned step in numpy, and what it is told
     "configuration": {"kinematics"},
-    "batches": {"kinematics", "configuration"},
+    "batches": {"kinematics", "configuration", "foresight"},
     "policy": {
         "kinematics",
         "configuration",
         "batches",
+        "foresight",
         "publishing",
     },  # `push_to_hub` is a method of the policy
     "inference": {"kinematics", "policy"},

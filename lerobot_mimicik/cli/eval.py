@@ -137,7 +137,7 @@ def run(
 
     policy: LearnedIKPolicy | None = None
     kind = ""
-    if learned:
+    if learned or ("foresight" in names and config.policy.path):
         policy = load_policy(config.policy.path, config.device or None)
         kind = kind_of(policy.config)
         others = [name for name in learned if name not in ("mimicik", "mimicik_guided", kind)]
@@ -162,7 +162,7 @@ def run(
     for name in names:
         try:
             solvers[name] = make_solver(
-                name, arm, **({"policy": policy} if name in learned or name == kind else {})
+                name, arm, **({"policy": policy} if name in (*learned, kind) else {})
             )
         except (SolverUnavailable, ImportError) as error:
             rows.append(unavailable_row(name, str(error)))

@@ -114,9 +114,13 @@ def _turn(to: Array, back: Array) -> Array:
     bx, by, bz, bw = np.moveaxis(back, -1, 0)
     w = aw * bw - ax * bx - ay * by - az * bz
     vector = np.stack(
-        [aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw],
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
         axis=-1,
-    )  # fmt: skip
+    )
     sine = np.sqrt((vector**2).sum(axis=-1))
     angle = 2.0 * np.arctan2(sine, np.abs(w))
     scale = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)

@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_mimicik.foresight.features import PAST_STEPS, Features, legendre
+from lerobot_mimicik.foresight.features import PAST_STEPS, Features
+from lerobot_mimicik.foresight.gauge import TremorGauge
 from lerobot_mimicik.foresight.weights import ForesightWeights, load_weights
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.plausibility import why_not_same_arm
 
 Array = NDArray[np.float64]
-
-_SMOOTH_ORDERS = 6
-"""Legendre orders that a steady hand fills within 0.7 s: its targets are a polynomial of degree five to 0.1 mm."""
 
 
 class Foresight:
@@ -24,12 +22,11 @@ class Foresight:
 
     Attributes:
         weights: What was learned.
-        tremor: Root mean square of the trembling of the last targets, translation [m] and rotation [rad].
     """
 
     def __init__(self, weights: ForesightWeights) -> None:
         self.weights = weights
-        self._basis = legendre(weights.features.history)[_SMOOTH_ORDERS:]
+        self._gauge = TremorGauge(weights.features.history)
         self.reset(np.zeros(weights.features.dof))
 
     @classmethod
@@ -52,12 +49,17 @@ class Foresight:
         # Its tool, its base and its limits are its own.
         return cls(replace(weights, description=arm, features=Features(arm, weights.features.history)))
 
+    @property
+    def tremor(self) -> tuple[float, float]:
+        """Root mean square of the trembling of the last targets, translation [m] and rotation [rad]."""
+        return self._gauge.tremor
+
     def reset(self, q: Array) -> None:
         """Forget all targets: the arm is at rest at `q` (dof,)."""
         self._targets: Array | None = None
         self._steps = np.zeros((PAST_STEPS, self.weights.features.dof))
         self._last = np.array(q, dtype=float)
-        self.tremor = (0.0, 0.0)
+        self._gauge.reset()
 
     def __call__(self, start: Array, target: Array) -> Array:
         """The joints (dof,) to go to from the command in force (dof,), asked for a target (7,)."""
@@ -68,17 +70,6 @@ class Foresight:
         else:
             self._targets = np.concatenate([self._targets[1:], target[None]])
             self._steps = np.concatenate([self._steps[1:], step[None]])
-        self.tremor = self._trembling(self._targets)
+        self._gauge.update(target)
         base, observation = self.weights.features(start[None], self._targets[None], self._steps[None])
         return start + self.weights.network(base, observation)[0]
-
-    def _trembling(self, targets: Array) -> tuple[float, float]:
-        """What no smooth motion explains of the last targets, as root mean squares [m, rad]."""
-        signs = np.where(targets[:, 3:] @ targets[-1, 3:] < 0, -1.0, 1.0)
-        # Four numbers of a unit quaternion differ by half of the angle between two rotations that are close.
-        rough = self._basis @ np.concatenate([targets[:, :3], 2.0 * signs[:, None] * targets[:, 3:]], axis=1)
-        return _root(rough[:, :3]), _root(rough[:, 3:])
-
-
-def _root(rough: Array) -> float:
-    return float(np.sqrt((rough**2).sum() / len(rough)))

@@ -20,7 +20,9 @@ _UNLIKELY = 4.0
 class Foresees(Protocol):
     """Proposes joints for a stream of targets, and says how much these tremble."""
 
-    tremor: tuple[float, float]  # root mean square, m and rad
+    @property
+    def tremor(self) -> tuple[float, float]:
+        """Root mean square of the targets' trembling [m, rad]."""
 
     def reset(self, q: Array) -> None:
         """The arm is at rest at `q` (dof,)."""

@@ -138,8 +138,16 @@ SolverFactory = Callable[..., IKSolver]
 # Module of each solver of this package.
 MODULES = {
     "embodik": "embodik",
+    "foresight": "foresight",
+    "foresight_alone": "foresight",
     "guided": "guided",
     "guided_ahead": "guided",
+    "guided_kalman_0.03": "filtered",
+    "guided_kalman_0.3": "filtered",
+    "guided_lowpass_3": "filtered",
+    "guided_lowpass_4.5": "filtered",
+    "guided_lowpass_6": "filtered",
+    "guided_one_euro": "filtered",
     "hold": "hold",
     "jparse": "jparse",
     "least_squares": "least_squares",
