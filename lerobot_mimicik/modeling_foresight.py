@@ -12,6 +12,7 @@ a steady hand is met exactly. Untrained, the policy goes half the damped least s
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 import torch
@@ -46,9 +47,10 @@ class FilterNetwork(nn.Module):
         self.dof, self.n_lags = dof, n_lags
         widths = [width + dof + 2, *[hidden_dim] * n_layers]
         hidden = [layer for sizes in pairwise(widths) for layer in (nn.Linear(*sizes), nn.GELU())]
-        self.layers = nn.Sequential(*hidden, nn.Linear(hidden_dim, dof * (n_lags + 1)))
-        nn.init.zeros_(self.layers[-1].weight)
-        nn.init.zeros_(self.layers[-1].bias)
+        last = nn.Linear(hidden_dim, dof * (n_lags + 1))
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.layers = nn.Sequential(*hidden, last)
         self.register_buffer("mean", torch.zeros(width))
         self.register_buffer("scale", torch.ones(width))
 
@@ -80,6 +82,7 @@ class ForesightPolicy(LearnedIKPolicy):
     name = "mimicik_foresight"
     config: ForesightConfig
     network: FilterNetwork
+    features: Features
 
     _motions: list[np.ndarray] | None = None
     _samples: tuple[Tensor, ...] = ()
@@ -110,7 +113,7 @@ class ForesightPolicy(LearnedIKPolicy):
         if config.pretrained_path is None:
             self.delta.fit(*(torch.full((config.dof,), sign * STEP_RAD) for sign in (-1.0, 1.0)))
             _, observation, *_ = self._driven(0)
-            for network in (self.network, self.average.network):
+            for network in (self.network, cast("FilterNetwork", self.average.network)):
                 network.mean.copy_(observation.mean(dim=0))
                 network.scale.copy_(observation.std(dim=0).clamp(min=1e-4))
 

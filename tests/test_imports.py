@@ -20,7 +20,7 @@ ALLOWED = {
     "outputs": set(),  # how commands treat folders that exist
     "kinematics": set(),
     "guidance": {"kinematics"},
-    "foresight": {"kinematics"},  # the learned step in numpy, and what it is told
+    "foresight": {"kinematics", "guidance"},  # the learned step in numpy, and what it is told
     "configuration": {"kinematics"},
     "batches": {"kinematics", "configuration", "foresight"},
     "policy": {

@@ -161,9 +161,7 @@ def run(
     solvers: dict[str, IKSolver] = {}
     for name in names:
         try:
-            solvers[name] = make_solver(
-                name, arm, **({"policy": policy} if name in (*learned, kind) else {})
-            )
+            solvers[name] = make_solver(name, arm, **({"policy": policy} if name in (*learned, kind) else {}))
         except (SolverUnavailable, ImportError) as error:
             rows.append(unavailable_row(name, str(error)))
     settings = asdict(config) | {"device": str(policy.config.device) if policy is not None else "cpu"}

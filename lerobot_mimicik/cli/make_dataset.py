@@ -251,7 +251,7 @@ def run(
         if config.episodes <= 0:
             raise ValueError(f"--episodes must be positive with --source=synthetic, got {config.episodes}")
         recording = SyntheticConfig.clean if config.clean else SyntheticConfig
-        lag = {} if config.lag is None else {"lag_s": config.lag}
+        lag: dict[str, Any] = {} if config.lag is None else {"lag_s": config.lag}
         return make_synthetic(
             Path(config.output),
             config.episodes,

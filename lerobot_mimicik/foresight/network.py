@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
 from lerobot_mimicik.foresight.features import PAST_STEPS
 
@@ -62,7 +63,7 @@ class FilterNetwork:
 
     def _evaluate(self, base: Array, observation: Array, answer: Array, time: float) -> Array:
         many, width = observation.shape
-        x = np.empty((many, width + self._dof + 2))
+        x: Array = np.empty((many, width + self._dof + 2))
         x[:, :width] = (observation - self._mean) / self._scale
         x[:, width : width + self._dof] = answer
         x[:, -2:] = time
@@ -85,9 +86,4 @@ def _number(name: str) -> int:
 
 
 def _gelu(x: Array) -> Array:
-    """X Phi(x) with Phi by its error function (Abramowitz and Stegun 7.1.26, 1.5e-7)."""
-    z = np.abs(x) * _SQRT_HALF
-    t = 1.0 / (1.0 + 0.3275911 * z)
-    poly = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
-    tail = 0.5 * poly * np.exp(-z * z)
-    return x * np.where(x > 0, 1.0 - tail, tail)
+    return x * (0.5 + 0.5 * erf(_SQRT_HALF * x))

@@ -48,7 +48,7 @@ def is_foresight(folder: str | Path) -> bool:
     """Whether a folder holds a checkpoint of this kind."""
     try:
         return json.loads((Path(folder) / _CONFIG).read_text())["type"] == KIND
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
 
 

@@ -22,7 +22,7 @@ def towards(pose: Array, target: Array, lower: Array, upper: Array) -> tuple[Arr
     Returns:
         the pose (7,) and the share of the way, 1.0 for the target itself.
     """
-    turn = _turn(pose[3:], target[3:])
+    turn = turned(pose[3:], target[3:])
     step = np.concatenate([target[:3] - pose[:3], turn])
     share = float(1.0 / max(1.0, (step / np.where(step < 0, lower, upper)).max()))
     if share >= 1.0:
@@ -31,7 +31,7 @@ def towards(pose: Array, target: Array, lower: Array, upper: Array) -> tuple[Arr
     return np.concatenate([pose[:3] + share * step[:3], rotation.as_quat(canonical=True)]), share
 
 
-def _turn(start: Array, end: Array) -> Array:
+def turned(start: Array, end: Array) -> Array:
     """Rotation vector (3,) [rad] of R_end R_start^T, the short way, of unit quaternions (4,)."""
     sine = start[3] * end[:3] - end[3] * start[:3] - np.cross(end[:3], start[:3])
     cosine = float(end @ start)

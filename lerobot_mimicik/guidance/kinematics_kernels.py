@@ -236,6 +236,25 @@ def pose_and_jacobian(q, chain):
 
 
 @_jit
+def steps_towards(q, targets, chain, lever, damping):
+    """Damped least squares steps (T, n) from joints (n,) towards poses (T, 7), and the pose errors (T, 6).
+
+    Rotations count `lever` metres a radian, and `damping` [m] is the square root of what is added to J J^T.
+    """
+    rotation, position, jacobian = pose_and_jacobian(q, chain)
+    jacobian[3:] *= lever
+    errors, there = np.empty((len(targets), 6)), np.empty((3, 3))
+    for t in range(len(targets)):
+        rotation_of(targets[t, 3:], there)
+        pose_difference(rotation, position, there, targets[t, :3], errors[t])
+    errors[:, 3:] *= lever
+    square = jacobian @ jacobian.T
+    for a in range(6):
+        square[a, a] += damping**2
+    return np.linalg.solve(square, errors.T).T @ jacobian, errors
+
+
+@_jit
 def judge(q, target, chain, weight, tolerance, tool_axes, axis):
     """What a configuration leaves of a target (7,).
 

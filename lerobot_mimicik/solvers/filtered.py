@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -114,17 +115,22 @@ def _register(name: str, make: Callable[[], Filter], what: str) -> None:
     kind = type(
         "FilteredSolver",
         (FilteredSolver,),
-        {"name": name, "configuration": f"The row guided behind {what}", "_make": staticmethod(make)},
+        {
+            "__module__": __name__,
+            "name": name,
+            "configuration": f"The row guided behind {what}",
+            "_make": staticmethod(make),
+        },
     )
     register_solver(name)(kind)
 
 
 for _hz in (3.0, 4.5, 6.0):
-    _register(f"guided_lowpass_{_hz:g}", lambda hz=_hz: LowPass(hz), f"a Butterworth low-pass of {_hz:g} Hz")
+    _register(f"guided_lowpass_{_hz:g}", partial(LowPass, _hz), f"a Butterworth low-pass of {_hz:g} Hz")
 _register("guided_one_euro", lambda: OneEuro(1.5, 15.0), "a One-Euro filter, 1.5 Hz and 15 Hz s/m")
 for _jerk in (0.03, 0.3):
     _register(
         f"guided_kalman_{_jerk:g}",
-        lambda jerk=_jerk: Kalman(jerk),
+        partial(Kalman, _jerk),
         f"a Kalman filter of constant acceleration, {_jerk:g} mm/frame^3",
     )

@@ -180,7 +180,7 @@ def _adapter(config: DeployConfig) -> MimicIKAdapter:
     from lerobot_mimicik.kinematics.arms import arm_of_dataset, describe_arm
     from robot_adapters.adapter import MimicIKAdapter
 
-    settings = {"reference": config.reference, "horizon": config.look_ahead + 1}
+    settings: dict[str, Any] = {"reference": config.reference, "horizon": config.look_ahead + 1}
     if config.policy.path:
         return MimicIKAdapter.from_pretrained(config.policy.path, config.device, **settings)
     own = arm_of_dataset(config.dataset.root) if config.dataset.root else None
