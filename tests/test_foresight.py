@@ -12,7 +12,7 @@ from lerobot_mimicik.foresight.features import PAST_STEPS, Features, legendre
 from lerobot_mimicik.foresight.foresight import Foresight
 from lerobot_mimicik.foresight.gauge import TremorGauge
 from lerobot_mimicik.foresight.network import STEP_RAD
-from lerobot_mimicik.foresight.weights import load_weights, pack
+from lerobot_mimicik.foresight.weights import load_weights, pack, shipped
 from lerobot_mimicik.guidance.guided import Guidance
 from lerobot_mimicik.guidance.model import arm_model
 from lerobot_mimicik.guidance.settings import GuidanceSettings
@@ -20,6 +20,7 @@ from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.poses import pose_distance
 from lerobot_mimicik.kinematics.tremor import displaced, tremor
 from lerobot_mimicik.modeling_foresight import ForesightPolicy
+from robot_adapters.adapter import MimicIKAdapter
 
 ARM = describe_arm("airbot_play")
 HOME = np.array(ARM.home)
@@ -210,3 +211,25 @@ def test_one_query_sees_what_many_at_once_see():
     for i in range(5):
         one = features(q[i : i + 1], targets[i : i + 1], steps[i : i + 1])
         assert all(np.allclose(a[0], b[i], atol=1e-6) for a, b in zip(one, together, strict=True))
+
+
+@pytest.mark.parametrize("arm", shipped())
+def test_the_weights_in_the_package_steady_a_trembling_hand_and_leave_a_calm_one(arm):
+    adapters = MimicIKAdapter.from_pretrained(arm), MimicIKAdapter.for_arm(arm)
+    home = np.array(adapters[0].description.home)
+    t = np.linspace(0.0, 6.0, 200)[:, None]
+    clean = np.stack([adapters[1].forward(q) for q in home + 0.15 * np.sin(t + np.arange(len(home)))])
+    noise = np.random.default_rng(0).normal(size=(200, 6)) * ([6e-4] * 3 + [5e-3] * 3)
+    shaken = displaced(clean, noise)
+
+    def jerk(adapter, targets):
+        adapter.reset()
+        q, found = home, []
+        for target in targets:
+            q = adapter.solve(q, target).q
+            found.append(q)
+        return np.abs(np.diff(found, n=3, axis=0))[30:].mean()
+
+    steady, plain = (jerk(adapter, shaken) for adapter in adapters)
+    assert steady < 0.6 * plain
+    assert jerk(adapters[0], clean) < 1.2 * jerk(adapters[1], clean)

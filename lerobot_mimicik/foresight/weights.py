@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +76,8 @@ def load_weights(where: str | Path) -> ForesightWeights:
             joint_names=config["joint_names"],
             tool_offset=config["tool_offset"] or None,
         )
+        if str(where) in shipped():  # a checkpoint keeps no home
+            description = replace(description, home=describe_arm(str(where)).home)
         features = Features(description, int(config["n_obs_steps"]))
         network = FilterNetwork(tensors, features.dof, config["objective"], float(config["t_star"]))
         network(np.zeros((1, features.dof)), np.zeros((1, features.width)))
