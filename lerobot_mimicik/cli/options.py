@@ -66,8 +66,9 @@ def parse[Config](config_class: type[Config], argv: Sequence[str], prog: str) ->
 
 
 def say_loading() -> None:
-    """A sign of life before imports that take seconds, on stderr."""
-    print("Loading torch and LeRobot ...", file=sys.stderr, flush=True)
+    """A sign of life on stderr before imports that take seconds; nothing where they are done."""
+    if "torch" not in sys.modules:
+        print("Loading torch and LeRobot ...", file=sys.stderr, flush=True)
 
 
 def spelled(argv: Sequence[str], config_class: type) -> list[str]:
