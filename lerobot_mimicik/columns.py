@@ -30,18 +30,18 @@ def joint_columns(
     unless the request is for positions.
 
     Args:
-        feature: name of the column, for messages.
-        names: the column's element names, or None where the dataset gives none.
-        width: number of elements.
-        joint_names: the arm's joints, in order.
-        requested: element names that the user gave, in joint order, or positions such as ``"0"``.
-        option: what the user gives them by, for messages.
+        feature: Name of the column, for messages.
+        names: The column's element names, or None where the dataset gives none.
+        width: Number of elements.
+        joint_names: The arm's joints, in order.
+        requested: Element names that the user gave, in joint order, or positions such as `"0"`.
+        option: What the user gives them by, for messages.
 
     Returns:
         One index for each joint.
 
     Raises:
-        ValueError: if a requested name does not exist, a joint is not found or the column is too narrow.
+        ValueError: If a requested name does not exist, a joint is not found or the column is too narrow.
     """
     given = list(names or ())
     if requested is not None:

@@ -40,7 +40,7 @@ class Conditioning(nn.Module):
         """Normalised observation, shape (*, dim).
 
         Args:
-            q: joints, rad, shape (*, dof).
+            q: Joints, rad, shape (*, dof).
             current: T_base_tool measured, shape (*, 7).
             target: T_base_tool asked for, shape (*, 7).
         """

@@ -12,7 +12,7 @@ _SHORTEST_HISTORY = 5  # targets; fewer show no tremor
 @PreTrainedConfig.register_subclass("mimicik_foresight")
 @dataclass
 class ForesightConfig(LearnedIKConfig):
-    """Everything a foresight checkpoint needs to be used again; see :class:`LearnedIKConfig` for what it shares."""
+    """Everything a foresight checkpoint needs to be used again; see `LearnedIKConfig` for what it shares."""
 
     # Targets that the network sees, the present one included: 0.7 s at 20 Hz.
     n_obs_steps: int = 14

@@ -37,7 +37,7 @@ _CHOICES = {
 class LearnedIKConfig(PreTrainedConfig):
     """Everything a checkpoint needs to be used again, the robot's URDF included, but for its network's sizes.
 
-    The defaults are the paper's, except ``conditioning``, where the better one measured is the default.
+    The defaults are the paper's, except `conditioning`, where the better one measured is the default.
     """
 
     # Observation frames T_o the network sees: the current one and those before it.
@@ -113,7 +113,7 @@ class LearnedIKConfig(PreTrainedConfig):
         """Refuses values that cannot work; a subclass adds those of its own fields.
 
         Raises:
-            ValueError: names the field, its value and what was expected.
+            ValueError: Names the field, its value and what was expected.
         """
         for name, choices in _CHOICES.items():
             self.check_choice(name, choices)
@@ -127,7 +127,7 @@ class LearnedIKConfig(PreTrainedConfig):
         self.check_share("ema_decay")
 
     def check_choice(self, name: str, choices: tuple[str, ...]) -> None:
-        """Raises ValueError unless the field's value is one of ``choices``."""
+        """Raises ValueError unless the field's value is one of `choices`."""
         if getattr(self, name) not in choices:
             raise ValueError(f"{name}={getattr(self, name)!r}: expected one of {', '.join(choices)}")
 
@@ -164,7 +164,7 @@ class LearnedIKConfig(PreTrainedConfig):
         """Takes the arm of the training dataset, unless another one was asked for, and finds its columns.
 
         Raises:
-            ValueError: if a column is missing, or the joints are not the arm's; the message lists what exists.
+            ValueError: If a column is missing, or the joints are not the arm's; the message lists what exists.
         """
         own = arm_of_dataset(root)
         if own is not None and not self._arm_is_asked:
@@ -196,7 +196,7 @@ class LearnedIKConfig(PreTrainedConfig):
         """Finds the arm's columns in a dataset; LeRobot calls this before it builds the policy.
 
         Raises:
-            ValueError: if a needed column is missing or does not fit the arm; the message lists what exists.
+            ValueError: If a needed column is missing or does not fit the arm; the message lists what exists.
         """
         if OBS_STATE not in features:
             raise ValueError(
@@ -261,7 +261,7 @@ class LearnedIKConfig(PreTrainedConfig):
         """Checks what cannot be known before a dataset or a robot is.
 
         Raises:
-            ValueError: if the joints have no place in the state.
+            ValueError: If the joints have no place in the state.
         """
         if self._no_joints:
             raise ValueError(self._no_joints)

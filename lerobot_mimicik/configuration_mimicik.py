@@ -10,7 +10,7 @@ from lerobot_mimicik.configuration_learned import LearnedIKConfig
 @PreTrainedConfig.register_subclass("mimicik")
 @dataclass
 class MimicIKConfig(LearnedIKConfig):
-    """Everything a MimicIK checkpoint needs to be used again; see :class:`LearnedIKConfig` for what it shares."""
+    """Everything a MimicIK checkpoint needs to be used again; see `LearnedIKConfig` for what it shares."""
 
     objective: str = "mip"
     # MIP's second time t*.

@@ -29,7 +29,7 @@ def reasons_for_users() -> Iterator[None]:
     """Around the checks of a `__post_init__`.
 
     Raises:
-        DecodingError: in place of a ValueError or TypeError, with its message, where draccus is parsing.
+        DecodingError: In place of a ValueError or TypeError, with its message, where draccus is parsing.
     """
     try:
         yield
@@ -43,7 +43,7 @@ def check_types(config: Any) -> None:
     """Refuses values of the wrong type in a dataclass's plain fields, and numbers that are not finite.
 
     Raises:
-        ValueError: names the field, its value and what was expected.
+        ValueError: Names the field, its value and what was expected.
     """
     for field in fields(config):
         if field.type not in _EXPECTED:

@@ -71,11 +71,11 @@ class FilterNetwork(nn.Module):
 
 
 class ForesightPolicy(LearnedIKPolicy):
-    """Sees through the trembling of a hand; see :class:`LearnedIKPolicy` for what it shares.
+    """Sees through the trembling of a hand; see `LearnedIKPolicy` for what it shares.
 
     Args:
-        config: see :class:`ForesightConfig`.
-        dataset_stats, dataset_meta: as for :class:`LearnedIKPolicy`.
+        config: See `ForesightConfig`.
+        dataset_stats, dataset_meta: As for `LearnedIKPolicy`.
     """
 
     config_class = ForesightConfig
@@ -122,7 +122,7 @@ class ForesightPolicy(LearnedIKPolicy):
 
         In training mode each sample's index names a frame of the round's rollouts, which the policy drove along the clean
         motion; otherwise the recorded frames themselves are answered, without tremor, by the moving average.
-        Arguments, result and errors are those of :meth:`LearnedIKPolicy.forward`.
+        Arguments, result and errors are those of `LearnedIKPolicy.forward`.
         """
         if reduction not in ("mean", "none"):
             raise ValueError(f"reduction={reduction!r}: expected 'mean' or 'none'")
@@ -206,7 +206,7 @@ class ForesightPolicy(LearnedIKPolicy):
     def predict_joints(
         self, q: Tensor, pose_target: Tensor, pose_current: Tensor | None = None, noise: Tensor | None = None
     ) -> Tensor:
-        """As :meth:`LearnedIKPolicy.predict_joints`; the measured pose is not looked at."""
+        """As `LearnedIKPolicy.predict_joints`; the measured pose is not looked at."""
         self._check_inputs(q, pose_target, pose_current)
         target = self._reader.pose(pose_target)
         if q.ndim == 2:

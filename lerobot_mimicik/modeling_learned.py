@@ -3,10 +3,10 @@
 A policy answers the current joints and a target end-effector pose with a joint command.
 
 training    o, delta q -> objective loss (LeRobot's step), then FK(q + delta q_hat) against the target
-            pose (a step of its own, in ``update()``), then the weights' moving average follows
+            pose (a step of its own, in `update()`), then the weights' moving average follows
 inference   o -> delta q_hat (averaged weights) -> q + delta q_hat, within the training steps and limits
 
-A new one is a configuration and a policy class whose ``build`` makes the network and the objective.
+A new one is a configuration and a policy class whose `build` makes the network and the objective.
 """
 
 from abc import abstractmethod
@@ -38,10 +38,10 @@ class LearnedIKPolicy(PreTrainedPolicy):
     """Learned inverse kinematics as a LeRobot policy.
 
     Args:
-        config: see :class:`.configuration_learned.LearnedIKConfig`.
+        config: See `.configuration_learned.LearnedIKConfig`.
         dataset_stats: LeRobot's column statistics; unused, since the policy needs those of derived
             quantities.
-        dataset_meta: the training dataset's metadata. With it the policy fits its normalisation on the
+        dataset_meta: The training dataset's metadata. With it the policy fits its normalisation on the
             training episodes; without it (a checkpoint) the statistics come with the weights.
     """
 
@@ -88,7 +88,7 @@ class LearnedIKPolicy(PreTrainedPolicy):
 
     @abstractmethod
     def build(self) -> tuple[nn.Module, Objective]:
-        """The untrained network, and the objective that trains it; ``self.conditioning.dim`` numbers a frame go in."""
+        """The untrained network, and the objective that trains it; `self.conditioning.dim` numbers a frame go in."""
 
     def _check_weights(self) -> None:
         """Refuses a network that would not fit into memory, before any is taken."""
@@ -127,7 +127,7 @@ class LearnedIKPolicy(PreTrainedPolicy):
         """Sets every normaliser from recorded frames.
 
         Raises:
-            ValueError: if a quantity is not finite, or no frame has a target to learn from.
+            ValueError: If a quantity is not finite, or no frame has a target to learn from.
         """
         ranges: dict[str, RunningRange] = {}
         for frames in iterate_frames(table, self.config, self._arm):
@@ -160,21 +160,21 @@ class LearnedIKPolicy(PreTrainedPolicy):
     # --- Training ---
 
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
-        """Objective loss of a batch (plus the FK loss where ``fk_update=joint``).
+        """Objective loss of a batch (plus the FK loss where `fk_update=joint`).
 
         In training mode the trained weights are evaluated, otherwise their moving average; noise is a
         function of sample and training step, so that the evaluation loss is comparable between steps.
 
         Args:
-            batch: a LeRobot batch with the configured time windows.
-            reduction: ``mean``, or ``none`` for one loss a sample.
+            batch: A LeRobot batch with the configured time windows.
+            reduction: `mean`, or `none` for one loss a sample.
 
         Returns:
             The loss, a scalar or shape (B,), and numbers for the log.
 
         Raises:
-            KeyError: if a column is missing.
-            ValueError: if ``reduction`` is unknown.
+            KeyError: If a column is missing.
+            ValueError: If `reduction` is unknown.
         """
         if reduction not in ("mean", "none"):
             raise ValueError(f"reduction={reduction!r}: expected 'mean' or 'none'")
@@ -252,20 +252,20 @@ class LearnedIKPolicy(PreTrainedPolicy):
     ) -> Tensor:
         """Joint commands for target poses, from the averaged weights.
 
-        Without a time axis the policy remembers the frames since :meth:`reset`, in which the batch size
+        Without a time axis the policy remembers the frames since `reset`, in which the batch size
         must not change; with one the history is given and nothing is remembered.
 
         Args:
-            q: measured joints, rad, shape (B, dof) or (B, T_o, dof).
+            q: Measured joints, rad, shape (B, dof) or (B, T_o, dof).
             pose_target: T_base_tool asked for, xyz in metres and xyzw, shape (B, 7) or (B, T_o, 7).
-            pose_current: T_base_tool measured, same shape; FK of ``q`` if None.
-            noise: what a generative objective draws, shape (B, draws * dof); seeded noise if None.
+            pose_current: T_base_tool measured, same shape; FK of `q` if None.
+            noise: What a generative objective draws, shape (B, draws * dof); seeded noise if None.
 
         Returns:
             Commands, rad, shape (B, dof).
 
         Raises:
-            ValueError: if a shape does not fit or a number is not finite.
+            ValueError: If a shape does not fit or a number is not finite.
         """
         self._check_inputs(q, pose_target, pose_current)
         target = self._reader.pose(pose_target)
@@ -323,7 +323,7 @@ class LearnedIKPolicy(PreTrainedPolicy):
                 raise ValueError(f"{name} is not finite: {values.tolist()}")
 
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """A chunk of one action, shape (B, 1, d): see :meth:`select_action`."""
+        """A chunk of one action, shape (B, 1, d): see `select_action`."""
         return self.select_action(batch, **kwargs).unsqueeze(1)
 
     def digest(self) -> str:
@@ -339,15 +339,15 @@ class LearnedIKPolicy(PreTrainedPolicy):
         through, and without them the measured ones.
 
         Args:
-            batch: ``observation.state`` and the target pose column (and the current pose's where the policy
+            batch: `observation.state` and the target pose column (and the current pose's where the policy
                 was trained with it), shape (B, d) or (B, T_o, d).
 
         Returns:
             Shape (B, d).
 
         Raises:
-            KeyError: if the state or the target pose is missing.
-            ValueError: if numbers have the wrong shape, are not finite, or a gripper command has no source.
+            KeyError: If the state or the target pose is missing.
+            ValueError: If numbers have the wrong shape, are not finite, or a gripper command has no source.
         """
         for key in (OBS_STATE, self.config.target_pose_key):
             if key not in batch:

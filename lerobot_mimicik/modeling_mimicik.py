@@ -14,11 +14,11 @@ from lerobot_mimicik.publishing.hub import card_after_training, push_policy
 
 
 class MimicIKPolicy(LearnedIKPolicy):
-    """Generative inverse kinematics as a LeRobot policy; see :class:`LearnedIKPolicy` for what it does.
+    """Generative inverse kinematics as a LeRobot policy; see `LearnedIKPolicy` for what it does.
 
     Args:
-        config: see :class:`MimicIKConfig`.
-        dataset_stats, dataset_meta: as for :class:`LearnedIKPolicy`.
+        config: See `MimicIKConfig`.
+        dataset_stats, dataset_meta: As for `LearnedIKPolicy`.
     """
 
     config_class = MimicIKConfig
@@ -51,8 +51,8 @@ class MimicIKPolicy(LearnedIKPolicy):
         """Loads a checkpoint from a folder or a Hub repository, with LeRobot's options.
 
         Raises:
-            FileNotFoundError: if there is no checkpoint.
-            TypeError: if it is one of another policy.
+            FileNotFoundError: If there is no checkpoint.
+            TypeError: If it is one of another policy.
         """
         policy = super().from_pretrained(pretrained_name_or_path, **options)
         policy._source = str(pretrained_name_or_path)
@@ -71,7 +71,7 @@ class MimicIKPolicy(LearnedIKPolicy):
         return card_after_training(self, dataset_repo_id, license, tags, cfg, dataset_meta)
 
     def push_to_hub(self, repo_id: str, **options: Any) -> CommitInfo:
-        """Uploads the policy, its processors, its card and its evaluation: see :func:`.hub.push_policy`.
+        """Uploads the policy, its processors, its card and its evaluation: see `.hub.push_policy`.
 
         What lies beside the weights is taken from where the policy was loaded, unless `source` says otherwise.
         """

@@ -128,13 +128,13 @@ class SuDeepDiT(nn.Module):
     """Symmetric encoder-decoder Transformer f(x, s, t | o).
 
     Args:
-        obs_tokens: number of observation tokens T_o.
-        action_dim: width of an action n_a.
-        horizon: number of action tokens T_a.
-        d_model: hidden width d; even, and a multiple of `n_heads`.
-        n_layers: blocks in the encoder, and as many in the decoder.
-        n_heads: attention heads.
-        d_ff: feed-forward width.
+        obs_tokens: Number of observation tokens T_o.
+        action_dim: Width of an action n_a.
+        horizon: Number of action tokens T_a.
+        d_model: Hidden width d; even, and a multiple of `n_heads`.
+        n_layers: Blocks in the encoder, and as many in the decoder.
+        n_heads: Attention heads.
+        d_ff: Feed-forward width.
     """
 
     frequencies: Tensor
@@ -172,10 +172,10 @@ class SuDeepDiT(nn.Module):
         """Evaluates the flow map.
 
         Args:
-            x: normalised (noisy) action, shape (B, T_a, n_a).
-            s: source flow time in [0, 1], shape (B,).
-            t: target flow time in [0, 1], shape (B,).
-            obs_tokens: encoded observations, shape (B, T_o, d).
+            x: Normalised (noisy) action, shape (B, T_a, n_a).
+            s: Source flow time in [0, 1], shape (B,).
+            t: Target flow time in [0, 1], shape (B,).
+            obs_tokens: Encoded observations, shape (B, T_o, d).
 
         Returns:
             The network's answer (an action or a velocity: the objective says which), shape (B, T_a, n_a).

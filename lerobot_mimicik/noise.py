@@ -32,10 +32,10 @@ def sample_uniform(index: Tensor, dim: int, *, seed: int, step: Tensor | int) ->
     """Uniform numbers in (0, 1) for each sample.
 
     Args:
-        index: global frame index of each sample, int64, shape (B,).
-        dim: how many numbers a sample gets.
-        seed: seed of the run.
-        step: training step.
+        index: Global frame index of each sample, int64, shape (B,).
+        dim: How many numbers a sample gets.
+        seed: Seed of the run.
+        step: Training step.
 
     Returns:
         float32, shape (B, dim), on the device of `index`.
@@ -47,7 +47,7 @@ def sample_uniform(index: Tensor, dim: int, *, seed: int, step: Tensor | int) ->
 
 
 def sample_normal(index: Tensor, dim: int, *, seed: int, step: Tensor | int) -> Tensor:
-    """Standard normal numbers for each sample (Box-Muller); arguments as for :func:`sample_uniform`."""
+    """Standard normal numbers for each sample (Box-Muller); arguments as for `sample_uniform`."""
     half = (dim + 1) // 2
     radius, angle = sample_uniform(index, 2 * half, seed=seed, step=step).chunk(2, dim=-1)
     radius = (-2.0 * radius.log()).sqrt()

@@ -23,7 +23,7 @@ class MinMax(nn.Module):
         """Sets the bounds, shape (dim,).
 
         Raises:
-            ValueError: if a bound has another shape, is not finite, or lies on the wrong side.
+            ValueError: If a bound has another shape, is not finite, or lies on the wrong side.
         """
         for name, bound in (("lower", lower), ("upper", upper)):
             if bound.shape != self.lower.shape:

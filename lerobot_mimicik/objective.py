@@ -18,9 +18,9 @@ class Objective[Network: nn.Module](ABC):
     """How a network is supervised and how an action is drawn from it.
 
     Attributes:
-        name: what its loss is called in the log.
-        draws: standard normal vectors of an action's width that drawing an action takes.
-        random: whether an action depends on them.
+        name: What its loss is called in the log.
+        draws: Standard normal vectors of an action's width that drawing an action takes.
+        random: Whether an action depends on them.
     """
 
     name: str
@@ -32,11 +32,11 @@ class Objective[Network: nn.Module](ABC):
         """Loss of each sample, squared L2 summed over action dimensions, shape (B,).
 
         Args:
-            network: what is trained.
-            obs: normalised observations, shape (B, T_o, n).
-            action: normalised recorded actions, shape (B, n_a).
-            noise: standard normal, shape (B, draws * n_a).
-            time: uniform in [0, 1), shape (B,).
+            network: What is trained.
+            obs: Normalised observations, shape (B, T_o, n).
+            action: Normalised recorded actions, shape (B, n_a).
+            noise: Standard normal, shape (B, draws * n_a).
+            time: Uniform in [0, 1), shape (B,).
         """
 
     @abstractmethod
@@ -44,9 +44,9 @@ class Objective[Network: nn.Module](ABC):
         """Normalised action for each observation, shape (B, n_a); differentiable.
 
         Args:
-            network: what was trained.
-            obs: normalised observations, shape (B, T_o, n).
-            noise: where a generative objective starts, standard normal, shape (B, draws * n_a).
+            network: What was trained.
+            obs: Normalised observations, shape (B, T_o, n).
+            noise: Where a generative objective starts, standard normal, shape (B, draws * n_a).
         """
 
 

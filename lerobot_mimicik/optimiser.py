@@ -41,14 +41,14 @@ class SharedOptimiser:
         DistributedDataParallel, which would otherwise do it.
 
         Args:
-            loss: computes the loss to descend, a scalar.
-            max_norm: gradients are clipped to this norm; zero leaves them as they are.
+            loss: Computes the loss to descend, a scalar.
+            max_norm: Gradients are clipped to this norm; zero leaves them as they are.
 
         Returns:
             The loss and the gradient norm before clipping, detached scalars.
 
         Raises:
-            RuntimeError: if no optimiser has stepped these parameters yet.
+            RuntimeError: If no optimiser has stepped these parameters yet.
         """
         if self._optimiser is None:
             raise RuntimeError(

@@ -1,6 +1,6 @@
 """What this project may replace or delete: only folders that it marked, and in them only files that it writes.
 
-Every folder that a command fills gets a mark first, a small file `.mimicik.json` that says what the folder holds::
+Every folder that a command fills gets a mark first, a small file `.mimicik.json` that says what the folder holds:
 
     {"kind": "dataset", "version": 1}
 
@@ -69,14 +69,14 @@ def check_new(
     """See that `folder` can be made new: it is not there, it is empty, or it may be replaced.
 
     Args:
-        folder: what shall be made.
-        kind: what it shall hold, a key of `_FILES`.
-        overwrite: whether a folder that is marked as of this kind, and holds nothing else, may be replaced.
-        inputs: files and folders that are read to make it.
+        folder: What shall be made.
+        kind: What it shall hold, a key of `_FILES`.
+        overwrite: Whether a folder that is marked as of this kind, and holds nothing else, may be replaced.
+        inputs: Files and folders that are read to make it.
 
     Raises:
-        FileExistsError: there is something that may not be replaced; names it, and the remedy.
-        ValueError: an input lies in the folder, or the folder in an input.
+        FileExistsError: There is something that may not be replaced; names it, and the remedy.
+        ValueError: An input lies in the folder, or the folder in an input.
     """
     folder = Path(folder)
     check_apart(folder, inputs)
@@ -99,7 +99,7 @@ def check_apart(folder: str | Path, inputs: Iterable[str | Path]) -> None:
     """See that neither an input lies in an output folder nor the folder in an input, links followed.
 
     Raises:
-        ValueError: one does.
+        ValueError: One does.
     """
     output = Path(folder).resolve()
     for given in inputs:
@@ -118,7 +118,7 @@ def claim(folder: str | Path, kind: str) -> None:
     A folder of this kind is gone on with: its files may be replaced. In any other folder none of them may exist.
 
     Raises:
-        FileExistsError: a file would be replaced that this project did not write, or not as this kind.
+        FileExistsError: A file would be replaced that this project did not write, or not as this kind.
     """
     folder = Path(folder)
     found = kind_of(folder)
@@ -138,12 +138,12 @@ def check_file(path: str | Path, option: str, mark: bytes = b"") -> None:
     """See that a single file can be written: it is not there, or this project wrote it.
 
     Args:
-        path: the file; the folders above it are made.
-        option: what names it on the command line, for the message.
-        mark: bytes that stand near the beginning of what is written there; empty: no file is replaced.
+        path: The file; the folders above it are made.
+        option: What names it on the command line, for the message.
+        mark: Bytes that stand near the beginning of what is written there; empty: no file is replaced.
 
     Raises:
-        FileExistsError: there is something else.
+        FileExistsError: There is something else.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -167,7 +167,7 @@ def alone(output: str | Path) -> Iterator[None]:
     nobody out. Where the folder above may not be written to, nothing is held.
 
     Raises:
-        FileExistsError: another run holds it.
+        FileExistsError: Another run holds it.
     """
     path = Path(output).resolve()
     lock = path.with_name(path.name + ".lock")
@@ -241,7 +241,7 @@ def remove(folder: str | Path) -> None:
     """Delete a folder of this project, or a part of one; nothing happens if it does not exist.
 
     Raises:
-        FileExistsError: a file in it is not this project's; then nothing was deleted.
+        FileExistsError: A file in it is not this project's; then nothing was deleted.
     """
     folder = Path(folder).resolve()
     if not folder.exists():

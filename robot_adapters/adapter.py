@@ -71,16 +71,16 @@ class IKResult:
     """The answer to one target.
 
     Attributes:
-        q: joint command [rad], (dof,), never further than the settings' `max_step` from where it started; the
+        q: Joint command [rad], (dof,), never further than the settings' `max_step` from where it started; the
             caller's own.
-        status: what became of the target.
-        position_error, rotation_error: between FK(q) and the target [m, rad]; NaN where the target is no pose
+        status: What became of the target.
+        position_error, rotation_error: Between FK(q) and the target [m, rad]; NaN where the target is no pose
             of this arm.
-        step: largest joint motion of the command [rad].
-        source: who found the command: `guided`, the solver's name where guidance trusted it, `branch` on the way to
+        step: Largest joint motion of the command [rad].
+        source: Who found the command: `guided`, the solver's name where guidance trusted it, `branch` on the way to
             another branch of the inverse kinematics, or `hold`.
-        message: in words; when reached, the orientation that the arm cannot serve, or nothing.
-        certificate: why it does not meet the target, and the margins; None where the command holds.
+        message: In words; when reached, the orientation that the arm cannot serve, or nothing.
+        certificate: Why it does not meet the target, and the margins; None where the command holds.
     """
 
     q: Array
@@ -98,11 +98,11 @@ class AdapterSettings(GuidanceSettings):
     """How the adapter guides, asks and judges; weights, bounds and tolerances are those of `GuidanceSettings`.
 
     Attributes:
-        reference: joints that a step starts from: `commanded`, the command in force, while the arm follows
+        reference: Joints that a step starts from: `commanded`, the command in force, while the arm follows
             it within `resync` [rad]; `measured`, always what was measured, lag and noise included.
-        resync: difference between measured and commanded joints from which the measured ones are used [rad]; an
+        resync: Difference between measured and commanded joints from which the measured ones are used [rad]; an
             arm that lags by 0.2 s is 0.4 rad behind where it moves by the largest step at every frame.
-        max_translation, max_rotation: largest part of the way that the solver is asked for at once [m, rad]. A
+        max_translation, max_rotation: Largest part of the way that the solver is asked for at once [m, rad]. A
             MimicIK policy is besides never asked for more than it saw in training.
     """
 
@@ -155,13 +155,13 @@ class MimicIKAdapter:
         """The guided solver alone, without any checkpoint, or with foresight.
 
         Args:
-            arm: a shipped arm's name, a URDF file, or a description.
-            foresight: whose weights make trembling targets steady: an arm's in the package, or a checkpoint's folder;
+            arm: A shipped arm's name, a URDF file, or a description.
+            foresight: Whose weights make trembling targets steady: an arm's in the package, or a checkpoint's folder;
                 empty: none.
-            settings: of :class:`AdapterSettings`.
+            settings: Of `AdapterSettings`.
 
         Raises:
-            ValueError, UrdfError, FileNotFoundError: as `describe_arm`; settings out of range; as `Foresight.load`.
+            ValueError, UrdfError, FileNotFoundError: As `describe_arm`; settings out of range; as `Foresight.load`.
         """
         description = arm if isinstance(arm, ArmDescription) else describe_arm(str(arm))
         learned = Foresight.load(foresight, description) if foresight else None
@@ -175,12 +175,12 @@ class MimicIKAdapter:
         Hub repository.
 
         Args:
-            path: where it is.
-            device: where the network runs.
-            settings: of :class:`AdapterSettings`.
+            path: Where it is.
+            device: Where the network runs.
+            settings: Of `AdapterSettings`.
 
         Raises:
-            FileNotFoundError, TypeError: if there is no checkpoint, or it is another policy's.
+            FileNotFoundError, TypeError: If there is no checkpoint, or it is another policy's.
         """
         from lerobot_mimicik.checkpoints import find_checkpoint, load_policy
 
@@ -234,7 +234,7 @@ class MimicIKAdapter:
         """Say what was really sent [rad] (dof,), where a safety layer changed or refused the last command.
 
         Raises:
-            ValueError: wrong shape, or not finite.
+            ValueError: Wrong shape, or not finite.
         """
         sent = self._joints(q, "the commanded joints")
         with self._lock:
@@ -246,13 +246,13 @@ class MimicIKAdapter:
         """The next joint command on the way to a target.
 
         Args:
-            q: measured joints [rad], (dof,).
+            q: Measured joints [rad], (dof,).
             ee_target: `T_base_tool` to reach, (7,), quaternion of any length but zero.
-            upcoming: targets of the frames after this one (T, 7), as many as are known: the motion is planned along
+            upcoming: Targets of the frames after this one (T, 7), as many as are known: the motion is planned along
                 them. From the first one on that is no pose of this arm they are not looked at.
 
         Raises:
-            ValueError: wrong shapes, or measured joints that are not finite or so far outside their limits
+            ValueError: Wrong shapes, or measured joints that are not finite or so far outside their limits
                 that they are no joints of this arm in rad. Everything else is in the result.
         """
         measured = self._joints(q, "the measured joints")
@@ -273,11 +273,11 @@ class MimicIKAdapter:
         """The joint commands of consecutive targets, each planned with all that follow it in view.
 
         Args:
-            q: measured joints [rad] (dof,) before the first command.
+            q: Measured joints [rad] (dof,) before the first command.
             ee_targets: `T_base_tool` (T, 7), one per frame.
 
         Raises:
-            ValueError: as `solve`.
+            ValueError: As `solve`.
         """
         targets = _numbers(ee_targets, "the targets")
         if targets.ndim != 2 or targets.shape[1] != 7:
@@ -294,10 +294,10 @@ class MimicIKAdapter:
         """A joint-space policy made of one that yields end-effector poses.
 
         Args:
-            policy: a LeRobot policy, a function of the observation, or a client with `infer`; it may answer
+            policy: A LeRobot policy, a function of the observation, or a client with `infer`; it may answer
                 with one pose or a chunk of them.
-            frames: format, reference, tool and base frame of its poses.
-            options: of :class:`EndEffectorPolicy`.
+            frames: Format, reference, tool and base frame of its poses.
+            options: Of `EndEffectorPolicy`.
         """
         from robot_adapters.end_effector_policy import EndEffectorPolicy
 

@@ -119,8 +119,8 @@ class Arm(Protocol):
         """Reach the arm and hold it where it stands; who is there. Connecting twice is harmless.
 
         Raises:
-            ConnectionError: nobody answers.
-            StartRefusedError: the arm is in no state to start.
+            ConnectionError: Nobody answers.
+            StartRefusedError: The arm is in no state to start.
         """
         ...
 

@@ -17,7 +17,7 @@ class ArmPage:
         """Serves the page at a port, or the next free one.
 
         Raises:
-            ModuleNotFoundError: without viser; the message names the extra.
+            ModuleNotFoundError: Without viser; the message names the extra.
         """
         try:
             import viser

@@ -12,7 +12,7 @@ def float_array(values: Any) -> NDArray[np.float64]:
     """A copy as float64, of the same shape.
 
     Raises:
-        TypeError, ValueError: what holds no numbers.
+        TypeError, ValueError: What holds no numbers.
     """
     if hasattr(values, "detach"):  # torch, which need not be imported for it; numpy knows no bfloat16
         values = values.detach().cpu().double().numpy()

@@ -28,9 +28,9 @@ class Observation:
     """Joints that the robot reported, and what is known of the arm at that moment.
 
     Attributes:
-        joints: as reported, in rad, without any offset, (dof,).
-        held: the URDF's joints [rad] (dof,) that the arm was held at; None where it was not.
-        position: of the tool in the base frame [m] (3,), measured from outside; None where it was not.
+        joints: As reported, in rad, without any offset, (dof,).
+        held: The URDF's joints [rad] (dof,) that the arm was held at; None where it was not.
+        position: Of the tool in the base frame [m] (3,), measured from outside; None where it was not.
     """
 
     joints: Array
@@ -43,10 +43,10 @@ class OffsetFit:
     """Offsets and what they leave.
 
     Attributes:
-        offsets: to be added to the robot's joints [rad] (dof,).
-        determined: whether the observations say something of each joint (dof,).
-        joints_left: root mean square between held and corrected joints [rad] (dof,); NaN without held postures.
-        before, after: tool positions' mean error without and with the offsets [m]; NaN without measured positions.
+        offsets: To be added to the robot's joints [rad] (dof,).
+        determined: Whether the observations say something of each joint (dof,).
+        joints_left: Root mean square between held and corrected joints [rad] (dof,); NaN without held postures.
+        before, after: Tool positions' mean error without and with the offsets [m]; NaN without measured positions.
     """
 
     offsets: Array
@@ -60,11 +60,11 @@ def fit_offsets(description: ArmDescription, observations: Sequence[Observation]
     """Offsets that bring the robot's joints nearest to what is known.
 
     Args:
-        description: the arm.
-        observations: at least one, each with a posture or a position; angles and lengths weigh in units of the reach.
+        description: The arm.
+        observations: At least one, each with a posture or a position; angles and lengths weigh in units of the reach.
 
     Raises:
-        ValueError: nothing is known, or the arrays do not fit the arm.
+        ValueError: Nothing is known, or the arrays do not fit the arm.
     """
     dof = len(description.joint_names)
     _check(observations, dof)
@@ -102,15 +102,15 @@ def read_observations(
     """What a JSON file recorded: a list of objects with `joints`, and `held` or `position`.
 
     Args:
-        path: the file. `joints` are the robot's keys and numbers as it reports them; `held` the URDF's joints by name
+        path: The file. `joints` are the robot's keys and numbers as it reports them; `held` the URDF's joints by name
             [degrees]; `position` x y z of the tool [m].
-        joint_names: the URDF's joints.
+        joint_names: The URDF's joints.
 
     Returns:
         The robot's own numbers with each observation, whose `joints` are still empty.
 
     Raises:
-        FileNotFoundError: no such file; ValueError: it is not such a list, and in which entry.
+        FileNotFoundError: No such file; ValueError: it is not such a list, and in which entry.
     """
     entries = json.loads(Path(path).read_text(encoding="utf-8"))
     if not isinstance(entries, list) or not entries:

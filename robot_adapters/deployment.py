@@ -31,17 +31,17 @@ class DeploymentLog:
     """What happened along one trajectory of T frames.
 
     Attributes:
-        measured: joints at the beginning of each frame [rad], (T, dof).
-        before: joint target in force before each command [rad], (T, dof): what a command is a step from.
-        commanded: joints that the controller asked for [rad], (T, dof).
-        in_force: joints that the driver made of it [rad], (T, dof).
-        asked: frames that were driven; fewer than T where the arm stopped.
-        solve_ms: what the controller took, each frame.
-        work_ms: reading, solving and sending, each frame: what must fit into the period.
-        period_ms: from the beginning of one frame to that of the next; on a simulated clock always the period.
-        statuses: what the driver did with the commands, by name.
-        events: safety events, by name.
-        stopped: why the arm stopped, or empty.
+        measured: Joints at the beginning of each frame [rad], (T, dof).
+        before: Joint target in force before each command [rad], (T, dof): what a command is a step from.
+        commanded: Joints that the controller asked for [rad], (T, dof).
+        in_force: Joints that the driver made of it [rad], (T, dof).
+        asked: Frames that were driven; fewer than T where the arm stopped.
+        solve_ms: What the controller took, each frame.
+        work_ms: Reading, solving and sending, each frame: what must fit into the period.
+        period_ms: From the beginning of one frame to that of the next; on a simulated clock always the period.
+        statuses: What the driver did with the commands, by name.
+        events: Safety events, by name.
+        stopped: Why the arm stopped, or empty.
     """
 
     measured: Array
@@ -65,7 +65,7 @@ def approach(arm: Arm, clock: Clock, q: Array, period: float) -> None:
     """Move from where the arm stands to `q` [rad] (dof,), slowly and joint by joint alike.
 
     Raises:
-        RuntimeError: the arm stopped on the way; the message says why.
+        RuntimeError: The arm stopped on the way; the message says why.
     """
     start = arm.read().q
     frames = int(np.ceil(np.abs(q - start).max() / _APPROACH_STEP))
@@ -93,13 +93,13 @@ def drive(
     ends early where the arm stops or a command is not finite.
 
     Args:
-        arm: connected, at rest near the beginning.
-        clock: the arm's; on a simulated one the time between frames is simulated.
-        controller: asked once a frame.
+        arm: Connected, at rest near the beginning.
+        clock: The arm's; on a simulated one the time between frames is simulated.
+        controller: Asked once a frame.
         targets: `T_base_tool`, (T, 7).
-        fps: frames per second.
-        timer: a clock for durations of computing [s], such as `time.perf_counter`.
-        watchers: told of every frame.
+        fps: Frames per second.
+        timer: A clock for durations of computing [s], such as `time.perf_counter`.
+        watchers: Told of every frame.
     """
     dof, period = len(arm.joint_names), 1.0 / fps
     measured, before, commanded, in_force = (np.full((len(targets), dof), np.nan) for _ in range(4))

@@ -22,7 +22,7 @@ def check_recording(path: str) -> None:
     """See that a recording may be written to `path`.
 
     Raises:
-        FileExistsError: a file is there that is no recording of a deployment.
+        FileExistsError: A file is there that is no recording of a deployment.
     """
     outputs.check_file(path, "--display_file", _NAME.encode())
 
@@ -34,7 +34,7 @@ class RerunDisplay:
         """Opens rerun's viewer, or writes a recording to `save`.
 
         Raises:
-            ModuleNotFoundError: without rerun; the message says how to install it.
+            ModuleNotFoundError: Without rerun; the message says how to install it.
             FileExistsError: `save` is a file that is no recording of a deployment.
         """
         try:

@@ -29,12 +29,12 @@ class DoctorOptions:
     """What to check.
 
     Attributes:
-        arm: the name of the arm, one of `DRIVERS`.
-        interface, channel: python-can's; empty: no bus and no arm. `virtual` is a simulated arm of its own.
-        policy_path: a MimicIK checkpoint; empty: none.
+        arm: The name of the arm, one of `DRIVERS`.
+        interface, channel: That of python-can; empty: no bus and no arm. `virtual` is a simulated arm of its own.
+        policy_path: A MimicIK checkpoint; empty: none.
         reported_pose: `T_base_tool` that the vendor's software or a ruler reports for the arm as it stands,
             (7,); empty: not compared.
-        tool: pose of that tool in the end link, (7,); empty: the end link itself.
+        tool: Pose of that tool in the end link, (7,); empty: the end link itself.
     """
 
     arm: str = "airbot_play"

@@ -27,7 +27,7 @@ class EndEffectorPolicy:
     """Asks an end-effector policy when its last chunk is used up, and solves for one pose a step.
 
     Attributes:
-        result: what became of the last target; None before the first.
+        result: What became of the last target; None before the first.
     """
 
     def __init__(
@@ -43,24 +43,24 @@ class EndEffectorPolicy:
     ) -> None:
         """
         Args:
-            adapter: the arm's inverse kinematics.
-            policy: one of
+            adapter: The arm's inverse kinematics.
+            policy: One of
                 - a LeRobot policy (`select_action`, or `predict_action_chunk` where there is no other or
                   `actions_per_chunk` is given): the observation becomes a batch of one;
                 - a client (`infer`), as remote VLA servers have: a mapping with `actions`, or an array;
                 - a function of the observation.
                 Each answers with (d,), or a chunk (T, d), or a batch of one chunk (1, T, d), in numpy or torch;
                 d is the pose's width, and one more with a gripper.
-            frames: format, reference, tool and base frame of the policy's poses.
-            actions_per_chunk: poses used of a chunk before the policy is asked again; None: all. The arm looks ahead
+            frames: Format, reference, tool and base frame of the policy's poses.
+            actions_per_chunk: Poses used of a chunk before the policy is asked again; None: all. The arm looks ahead
                 at those that are not used, too. LeRobot's `select_action` hides its chunk, so that nothing is known
                 of the future: with a number the policy is asked for chunks.
-            sees_joints: whether the policy's `observation.state` is the joints as measured; else it is the
+            sees_joints: Whether the policy's `observation.state` is the joints as measured; else it is the
                 end-effector pose in `frames.form`, and the gripper where there is one.
-            preprocessor, postprocessor: a LeRobot policy's own.
+            preprocessor, postprocessor: A LeRobot policy's own.
 
         Raises:
-            TypeError: if `policy` is none of these.
+            TypeError: If `policy` is none of these.
             ValueError: `actions_per_chunk` is not positive.
         """
         if actions_per_chunk is not None and actions_per_chunk < 1:
@@ -92,12 +92,12 @@ class EndEffectorPolicy:
                 the observation is one, and the policy sees it as such.
 
         Returns:
-            absolute joint command [rad], (dof,); with the gripper's, (dof + 1,), if the policy commands it or
+            Absolute joint command [rad], (dof,); with the gripper's, (dof + 1,), if the policy commands it or
             the state has it (then it keeps its opening).
 
         Raises:
-            KeyError: without a state.
-            ValueError: a state or an answer of a wrong shape, or an answer that is no pose.
+            KeyError: Without a state.
+            ValueError: A state or an answer of a wrong shape, or an answer that is no pose.
         """
         joints, gripper = self._split(observation)
         if not self._openings:

@@ -43,7 +43,7 @@ class IKOptions:
         """The adapter, for an arm; a checkpoint knows its own.
 
         Raises:
-            ValueError: with path and address; FileNotFoundError, TypeError: if there is no
+            ValueError: With path and address; FileNotFoundError, TypeError: if there is no
                 MimicIK checkpoint; TimeoutError: nobody answers at the address.
         """
         from lerobot_mimicik.foresight.weights import shipped

@@ -26,10 +26,10 @@ class MimicIKKinematics:
     """Forward and inverse kinematics of one arm, in degrees and 4x4 matrices.
 
     Attributes:
-        joint_names: the joints, in the order of all joint positions; what is not between base and target frame (a
+        joint_names: The joints, in the order of all joint positions; what is not between base and target frame (a
             gripper) passes through.
-        target_frame_name: the frame that poses are of.
-        result: what became of the last pose, in words and numbers; None before.
+        target_frame_name: The frame that poses are of.
+        result: What became of the last pose, in words and numbers; None before.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class MimicIKKinematics:
         """As LeRobot's, but a shipped arm's name will do for the URDF, and then its own tool frame for the target.
 
         Raises:
-            UrdfError: no such arm, file, frame or joint; the message lists those that exist.
+            UrdfError: No such arm, file, frame or joint; the message lists those that exist.
         """
         self.description = _describe(str(urdf_path), target_frame_name)
         self.target_frame_name = self.description.tip_link
@@ -83,13 +83,13 @@ class MimicIKKinematics:
         """Joint positions [degrees] that bring the target frame to a pose, within 0.76 rad of the current ones.
 
         Args:
-            current_joint_pos: where to begin [degrees], in the order of `joint_names`; more come back unchanged.
+            current_joint_pos: Where to begin [degrees], in the order of `joint_names`; more come back unchanged.
             desired_ee_pose: `T_base_target` (4, 4).
-            position_weight: as LeRobot's; position is met exactly where it can be.
+            position_weight: As LeRobot's; position is met exactly where it can be.
             orientation_weight: 0 leaves the orientation free; otherwise it is met as far as the arm can.
 
         Raises:
-            ValueError: wrong shapes, or joints that are far outside their limits (radians are not, nor found out).
+            ValueError: Wrong shapes, or joints that are far outside their limits (radians are not, nor found out).
         """
         if not position_weight > 0:
             raise ValueError(f"position_weight={position_weight}: expected more than 0")

@@ -37,8 +37,8 @@ def plant(solver: IKSolver, trajectories: Sequence[Trajectory], options: Rollout
     """Each trajectory on an AIRBOT Play of its own, at 20 Hz, from where the recording begins.
 
     Raises:
-        ValueError: trajectories of another arm.
-        ModuleNotFoundError: without MuJoCo.
+        ValueError: Trajectories of another arm.
+        ModuleNotFoundError: Without MuJoCo.
     """
     return _drive_all(solver, trajectories, options, measured=True)
 
@@ -94,7 +94,7 @@ def refuse_another_arm(trajectory: Trajectory, name: str = ARM) -> None:
     Tools may differ: between the two arms' tools there must be a constant pose, however the joints stand.
 
     Raises:
-        ValueError: it is another arm's.
+        ValueError: It is another arm's.
     """
     own, other = describe_arm(name), trajectory.arm
     beginning = f"the arm that is driven is {name}; trajectory {trajectory.index} is of another arm"

@@ -47,16 +47,16 @@ class MimicIKEEToJoints(RobotActionProcessorStep):
     gripper may have any name, or be absent; joints are in radians or degrees; and `result` says what became of the pose.
 
     Attributes:
-        adapter: the arm's inverse kinematics.
-        motor_names: the robot's motors, in its order; those that are not the arm's joints pass through (one
+        adapter: The arm's inverse kinematics.
+        motor_names: The robot's motors, in its order; those that are not the arm's joints pass through (one
             gripper at most).
         joint_units: `rad` or `deg`, of the robot; it has no default but with `MimicIKKinematics`, which counts in
             degrees.
-        kinematics: in place of `adapter`: the same, or the arm's `MimicIKKinematics`.
+        kinematics: In place of `adapter`: the same, or the arm's `MimicIKKinematics`.
         initial_guess_current_joints: LeRobot's keyword for the joints that a step starts from: True sets the
             adapter's `reference` to `measured`, False to `commanded`; None leaves it.
         orientation_weight: LeRobot's keyword; 0 leaves the orientation free, with `MimicIKKinematics` alone.
-        result: what became of the last pose; None before.
+        result: What became of the last pose; None before.
     """
 
     adapter: MimicIKAdapter = None  # type: ignore[assignment]
@@ -97,8 +97,8 @@ class MimicIKEEToJoints(RobotActionProcessorStep):
         """Replaces the pose by joints.
 
         Raises:
-            KeyError: a number of the pose, or a joint of the observation, is missing.
-            ValueError: joints or a rotation that are in another unit, as far as that can be seen.
+            KeyError: A number of the pose, or a joint of the observation, is missing.
+            ValueError: Joints or a rotation that are in another unit, as far as that can be seen.
         """
         keys = [f"ee.{name}" for name in _POSE] + (["ee.gripper_pos"] if self._gripper else [])
         missing = [key for key in keys if action.get(key) is None]
@@ -150,12 +150,12 @@ class JointsToEEState(ObservationProcessorStep, RelativeActionsProcessorStep):
     to it; the conversion of those is off.
 
     Attributes:
-        arm: the arm's description, as JSON.
+        arm: The arm's description, as JSON.
         joint_units: `rad` or `deg`, of the robot.
-        rotation: format of the policy's poses.
-        tool: the policy's tool in the arm's tool frame (7,); empty: the same.
-        state_keys: the keys that the policy finds its state under.
-        link: in older checkpoints only, without effect.
+        rotation: Format of the policy's poses.
+        tool: The policy's tool in the arm's tool frame (7,); empty: the same.
+        state_keys: The keys that the policy finds its state under.
+        link: In older checkpoints only, without effect.
     """
 
     _registry_name: ClassVar[str | None] = None  # found by import path, not as LeRobot's own step
@@ -187,7 +187,7 @@ class JointsToEEState(ObservationProcessorStep, RelativeActionsProcessorStep):
         """Replaces joints (and gripper) by the pose (and gripper).
 
         Raises:
-            KeyError, ValueError: there is no state, or it has the wrong size or unit.
+            KeyError, ValueError: There is no state, or it has the wrong size or unit.
         """
         if OBS_STATE not in observation:
             raise KeyError(f"the observation has no {OBS_STATE!r}; it has {sorted(observation)}")
@@ -257,14 +257,14 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
     which command is in force when the next observation comes: the next chunk starts from the measured joints.
 
     Attributes:
-        policy: the MimicIK policy's configuration.
+        policy: The MimicIK policy's configuration.
         joint_units: `rad` or `deg`, of the robot.
-        rotation, tool: as in `JointsToEEState`.
-        settings: of the adapter.
-        link: in older checkpoints only, without effect.
-        relative_step: the `JointsToEEState` of the same policy; LeRobot sets it.
-        adapter: the inverse kinematics, ready once the weights are loaded.
-        result: what became of the last pose; None before.
+        rotation, tool: As in `JointsToEEState`.
+        settings: Of the adapter.
+        link: In older checkpoints only, without effect.
+        relative_step: The `JointsToEEState` of the same policy; LeRobot sets it.
+        adapter: The inverse kinematics, ready once the weights are loaded.
+        result: What became of the last pose; None before.
     """
 
     _registry_name: ClassVar[str | None] = None  # found by import path, not as LeRobot's own step
@@ -303,8 +303,8 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
         """Replaces the action, shape (d,), (B, d) or (B, T, d) with B = 1.
 
         Raises:
-            RuntimeError: no observation has passed `JointsToEEState` before, or it is not connected.
-            ValueError: several actions at once, or a wrong size.
+            RuntimeError: No observation has passed `JointsToEEState` before, or it is not connected.
+            ValueError: Several actions at once, or a wrong size.
         """
         action = transition.get(TransitionKey.ACTION)
         if not isinstance(action, Tensor):
@@ -368,7 +368,7 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
         """Loads the weights, strictly, with how far targets were from the tool in training; warms up.
 
         Raises:
-            CheckpointError: a tensor is missing, surplus, misshapen or not finite; it names it.
+            CheckpointError: A tensor is missing, surplus, misshapen or not finite; it names it.
         """
         load_tensors(self._policy, state, "the weights of EEActionToJoints")
         self.adapter = self._make_adapter()

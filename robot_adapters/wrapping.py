@@ -38,22 +38,22 @@ def wrap_checkpoint(
     """Write a copy of an end-effector policy's checkpoint that takes and gives joints, or poses.
 
     Args:
-        policy_path: the policy's checkpoint: a folder, a training run's output, or a Hub repository.
-        ik_path: a MimicIK checkpoint; None: the robot takes poses, as `airbot_play_ee` does.
-        output: folder to write; must not exist or be empty.
-        rotation: format of the policy's poses, in state and action; a gripper may follow.
-        tool: the policy's tool in the arm's tool frame, T_tool_policytool (7,); empty: the same.
+        policy_path: The policy's checkpoint: a folder, a training run's output, or a Hub repository.
+        ik_path: A MimicIK checkpoint; None: the robot takes poses, as `airbot_play_ee` does.
+        output: Folder to write; must not exist or be empty.
+        rotation: Format of the policy's poses, in state and action; a gripper may follow.
+        tool: The policy's tool in the arm's tool frame, T_tool_policytool (7,); empty: the same.
         joint_units: `rad` or `deg`, of the robot.
-        settings: of the adapter.
+        settings: Of the adapter.
 
     Returns:
-        the folder.
+        The folder.
 
     Raises:
         FileExistsError: `output` holds something.
-        FileNotFoundError, TypeError: a checkpoint is missing, or not of the right kind.
-        CheckpointError: a checkpoint is damaged.
-        ValueError: the policy's state or action is no pose in that format, or a difference of poses.
+        FileNotFoundError, TypeError: A checkpoint is missing, or not of the right kind.
+        CheckpointError: A checkpoint is damaged.
+        ValueError: The policy's state or action is no pose in that format, or a difference of poses.
     """
     from lerobot.processor import (
         NormalizerProcessorStep,
@@ -127,7 +127,7 @@ def _read_policy(folder: Path) -> tuple[Any, Any, Any]:
     """A policy's configuration and its two pipelines, its weights looked at but not read.
 
     Raises:
-        CheckpointError: something is damaged or missing; names the file or folder, and the reason.
+        CheckpointError: Something is damaged or missing; names the file or folder, and the reason.
     """
     from lerobot.policies.factory import make_pre_post_processors
     from safetensors import SafetensorError

@@ -20,7 +20,7 @@ POSE = np.array([0.3, 0.1, 0.2, 0.0, 0.0, 0.0, 1.0])
 
 
 class Counting(IKSolver):
-    """Answers the joints plus the number of questions since ``reset``, so that its history shows."""
+    """Answers the joints plus the number of questions since `reset`, so that its history shows."""
 
     name = "counting"
     batched = True
@@ -50,7 +50,7 @@ class Failing(Single):
 
 
 class Waiting(Single):
-    """Answers only once ``gate`` is open."""
+    """Answers only once `gate` is open."""
 
     gate = threading.Event()
 

@@ -1,9 +1,9 @@
 """Properties of the solvers that stand on other libraries, the same for all of them.
 
 A solver whose package is not installed is skipped with the reason. What is promised to whom: all start
-from the measured joints; ``BOUNDED`` ones keep joint limits and a largest step; ``EXACT`` ones reach any
-target nearby. ``placo_lerobot`` takes a single step that hardly minds orientation, ``least_squares`` a single damped
-one, and ``relaxed_ik`` gives way to the motion terms of its cost, so they are held to less.
+from the measured joints; `BOUNDED` ones keep joint limits and a largest step; `EXACT` ones reach any
+target nearby. `placo_lerobot` takes a single step that hardly minds orientation, `least_squares` a single damped
+one, and `relaxed_ik` gives way to the motion terms of its cost, so they are held to less.
 """
 
 import dataclasses

@@ -13,10 +13,10 @@ class FeedForward(nn.Module):
     """MLP from a flattened observation history to an action.
 
     Args:
-        obs_dim: numbers in the history T_o * n.
-        action_dim: width of an action n_a.
-        hidden_dim: width of the hidden layers.
-        n_layers: number of the hidden layers.
+        obs_dim: Numbers in the history T_o * n.
+        action_dim: Width of an action n_a.
+        hidden_dim: Width of the hidden layers.
+        n_layers: Number of the hidden layers.
     """
 
     def __init__(self, obs_dim: int, action_dim: int, hidden_dim: int = 512, n_layers: int = 4):
@@ -45,11 +45,11 @@ class DirectRegression(Objective[FeedForward]):
 
 
 class MLPPolicy(LearnedIKPolicy):
-    """The paper's regression baseline; see :class:`LearnedIKPolicy` for what it does.
+    """The paper's regression baseline; see `LearnedIKPolicy` for what it does.
 
     Args:
-        config: see :class:`MLPConfig`.
-        dataset_stats, dataset_meta: as for :class:`LearnedIKPolicy`.
+        config: See `MLPConfig`.
+        dataset_stats, dataset_meta: As for `LearnedIKPolicy`.
     """
 
     config_class = MLPConfig

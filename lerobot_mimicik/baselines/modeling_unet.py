@@ -17,11 +17,11 @@ class Diffusion(Objective[ConditionalUNet]):
     (Song et al. 2021) and takes noise that belongs to a sample.
 
     Args:
-        train_timesteps: noise levels in training.
-        inference_steps: how many of them inference visits.
+        train_timesteps: Noise levels in training.
+        inference_steps: How many of them inference visits.
 
     Raises:
-        ImportError: if diffusers is not installed.
+        ImportError: If diffusers is not installed.
     """
 
     name = "diffusion"
@@ -61,11 +61,11 @@ class Diffusion(Objective[ConditionalUNet]):
 
 
 class UNetPolicy(LearnedIKPolicy):
-    """The paper's diffusion baseline; see :class:`LearnedIKPolicy` for what it does.
+    """The paper's diffusion baseline; see `LearnedIKPolicy` for what it does.
 
     Args:
-        config: see :class:`UNetConfig`.
-        dataset_stats, dataset_meta: as for :class:`LearnedIKPolicy`.
+        config: See `UNetConfig`.
+        dataset_stats, dataset_meta: As for `LearnedIKPolicy`.
     """
 
     config_class = UNetConfig

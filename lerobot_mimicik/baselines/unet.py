@@ -62,12 +62,12 @@ class ConditionalUNet(nn.Module):
     """Predicts the noise in an action.
 
     Args:
-        obs_dim: numbers in the observation history T_o * n.
-        action_dim: width of an action n_a.
-        channels: channels of each resolution, from the finest; multiples of `n_groups`.
-        kernel_size: taps of a convolution, odd.
-        n_groups: groups of channels that are normalised together.
-        condition_dim: width of the embedded noise level and of the encoded observations, each; even.
+        obs_dim: Numbers in the observation history T_o * n.
+        action_dim: Width of an action n_a.
+        channels: Channels of each resolution, from the finest; multiples of `n_groups`.
+        kernel_size: Taps of a convolution, odd.
+        n_groups: Groups of channels that are normalised together.
+        condition_dim: Width of the embedded noise level and of the encoded observations, each; even.
     """
 
     def __init__(
@@ -107,9 +107,9 @@ class ConditionalUNet(nn.Module):
         """The noise in `x`.
 
         Args:
-            x: noisy normalised actions, shape (B, T_a, n_a).
-            step: noise level, counted from zero, shape (B,).
-            obs: normalised observations, shape (B, T_o, n).
+            x: Noisy normalised actions, shape (B, T_a, n_a).
+            step: Noise level, counted from zero, shape (B,).
+            obs: Normalised observations, shape (B, T_o, n).
 
         Returns:
             Shape (B, T_a, n_a).

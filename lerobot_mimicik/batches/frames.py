@@ -17,11 +17,11 @@ class IKFrames:
     """A batch of observation histories and what should follow.
 
     Attributes:
-        q: measured joints, rad, shape (B, T_o, dof); the last frame is the current one.
+        q: Measured joints, rad, shape (B, T_o, dof); the last frame is the current one.
         pose_current: T_base_tool measured, shape (B, T_o, 7), metres and xyzw with w >= 0.
         pose_target: T_base_tool asked for, shape (B, T_o, 7).
-        q_target: recorded target joints of the current frame, rad, shape (B, dof).
-        valid: whether the recording has that target, bool, shape (B,).
+        q_target: Recorded target joints of the current frame, rad, shape (B, dof).
+        valid: Whether the recording has that target, bool, shape (B,).
     """
 
     q: Tensor
@@ -48,10 +48,10 @@ class FrameReader:
 
         Args:
             batch: LeRobot batch with the windows of `config.observation_delta_indices`.
-            arm: forward kinematics on the batch's device.
+            arm: Forward kinematics on the batch's device.
 
         Raises:
-            KeyError: if a column is missing; the message lists those that exist.
+            KeyError: If a column is missing; the message lists those that exist.
         """
         config, n = self.config, self.config.n_obs_steps
         states = self.joints(_column(batch, OBS_STATE), config.state_joint_columns)
@@ -83,8 +83,8 @@ def _repeat_first(targets: Tensor, padding: Tensor | None) -> Tensor:
     """Gives the frames before an episode the first frame's target, as they have its state.
 
     Args:
-        targets: next states of the observed frames, shape (B, T_o, dof).
-        padding: which of the states lie outside the episode, bool, shape (B, T_o + 1).
+        targets: Next states of the observed frames, shape (B, T_o, dof).
+        padding: Which of the states lie outside the episode, bool, shape (B, T_o + 1).
     """
     if padding is None:
         return targets

@@ -22,8 +22,8 @@ class FrameTable:
     """The numeric columns of a dataset in memory, with the window queries of LeRobot.
 
     Attributes:
-        columns: name -> tensor of shape (N, d), or (N,) for scalars; the rows of the loaded episodes.
-        first_row, last_row: bounds of each row's episode, int64, shape (N,).
+        columns: Name -> tensor of shape (N, d), or (N,) for scalars; the rows of the loaded episodes.
+        first_row, last_row: Bounds of each row's episode, int64, shape (N,).
     """
 
     def __init__(self, dataset: LeRobotDataset):
@@ -42,12 +42,12 @@ class FrameTable:
         """A column around each row, repeated at the ends of the episode.
 
         Args:
-            name: the column.
-            rows: shape (B,).
-            offsets: frames relative to the row, W of them.
+            name: The column.
+            rows: Shape (B,).
+            offsets: Frames relative to the row, W of them.
 
         Returns:
-            values, shape (B, W, d), and which of them lie outside the episode, bool, shape (B, W).
+            Values, shape (B, W, d), and which of them lie outside the episode, bool, shape (B, W).
         """
         wanted = rows[:, None] + torch.tensor(offsets)
         first, last = self.first_row[rows, None], self.last_row[rows, None]
@@ -80,7 +80,7 @@ default_collate_fn_map[CollatedBatch] = _contents
 
 
 class BatchedLeRobotDataset(LeRobotDataset):
-    """A LeRobotDataset that reads batches at once. Existing objects become one through :func:`read_batched`."""
+    """A LeRobotDataset that reads batches at once. Existing objects become one through `read_batched`."""
 
     _frame_table: FrameTable | None = None
     _asked = False

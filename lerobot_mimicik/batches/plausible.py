@@ -16,12 +16,12 @@ def check_table(table: FrameTable, config: LearnedIKConfig, where: str) -> None:
     """Refuse frames with another unit, arm or order of quaternions than the configuration's.
 
     Args:
-        table: columns of the training episodes.
-        config: names the columns and their units.
-        where: the dataset, for messages.
+        table: Columns of the training episodes.
+        config: Names the columns and their units.
+        where: The dataset, for messages.
 
     Raises:
-        ValueError: as `check_recorded`; it names the configuration's field that mends it.
+        ValueError: As `check_recorded`; it names the configuration's field that mends it.
     """
     reader = FrameReader(config)
     names = config.joint_names or []

@@ -15,7 +15,7 @@ from lerobot.datasets.sampler import EpisodeAwareSampler
 
 class EpochSampler(EpisodeAwareSampler):
     """An EpisodeAwareSampler that computes an epoch's indices together. Existing objects become one through
-    :func:`vectorise_samplers`.
+    `vectorise_samplers`.
     """
 
     _table: np.ndarray | None = None

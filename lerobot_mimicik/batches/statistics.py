@@ -32,10 +32,10 @@ def iterate_frames(
     """All frames of a dataset, read as training reads them, in chunks.
 
     Args:
-        table: columns of the wanted episodes.
-        config: names the columns.
-        arm: forward kinematics on the CPU.
-        chunk: rows at a time.
+        table: Columns of the wanted episodes.
+        config: Names the columns.
+        arm: Forward kinematics on the CPU.
+        chunk: Rows at a time.
     """
     reader = FrameReader(config)
     n_rows = len(table.first_row)

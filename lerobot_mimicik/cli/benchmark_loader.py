@@ -37,7 +37,7 @@ def samples_per_second(config: BenchmarkLoaderConfig, batched: bool) -> float:
     """Median over log windows of the rate that `lerobot-train` itself reports.
 
     Raises:
-        RuntimeError: if `lerobot-train` fails or logs no rate; the message ends with what it printed.
+        RuntimeError: If `lerobot-train` fails or logs no rate; the message ends with what it printed.
     """
     steps = config.steps if batched else config.baseline_steps
     log_freq = max(1, steps // 4)

@@ -1,7 +1,7 @@
 """`mimicik demo`: the whole way in one command, from motion to a trained, evaluated checkpoint and a report.
 
-The stages leave their results in the output folder, and a run with ``--resume`` goes on after the last
-complete one::
+The stages leave their results in the output folder, and a run with `--resume` goes on after the last
+complete one:
 
     data/     datasets: train, test (held-out sessions), ood (near singularities)
     train/    what `lerobot-train` writes; the checkpoint is train/checkpoints/last/pretrained_model

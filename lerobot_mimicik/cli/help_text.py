@@ -17,12 +17,12 @@ def help_text(config_class: type, prog: str, group: str = "") -> str:
     """What `prog --help` prints, or `prog --help=GROUP` for one group of options.
 
     Args:
-        config_class: a dataclass whose fields are the options; the comments above them say what they do.
-        prog: the command.
-        group: a field of `config_class` that is a dataclass, or "all"; empty: the command's own options.
+        config_class: A dataclass whose fields are the options; the comments above them say what they do.
+        prog: The command.
+        group: A field of `config_class` that is a dataclass, or "all"; empty: the command's own options.
 
     Raises:
-        ValueError: there is no such group.
+        ValueError: There is no such group.
     """
     kinds, groups = get_type_hints(config_class), _groups(config_class)
     if group and group not in (*groups, "all"):

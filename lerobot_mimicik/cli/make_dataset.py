@@ -210,8 +210,8 @@ def run(
     """Make the dataset.
 
     Raises:
-        ValueError: an option does not fit; the message names it and what exists.
-        OSError: the input does not exist, or the output does.
+        ValueError: An option does not fit; the message names it and what exists.
+        OSError: The input does not exist, or the output does.
     """
     from lerobot_mimicik.kinematics.arms import describe_arm
 

@@ -38,14 +38,14 @@ def parse[Config](config_class: type[Config], argv: Sequence[str], prog: str) ->
     LeRobot's and of earlier versions are understood where they name an option of another name.
 
     Args:
-        config_class: a dataclass whose fields are the options; those of a dataclass in it are `--outer.inner`.
-        argv: the words after the command.
-        prog: the command, for help and messages.
+        config_class: A dataclass whose fields are the options; those of a dataclass in it are `--outer.inner`.
+        argv: The words after the command.
+        prog: The command, for help and messages.
 
     Raises:
-        ValueError: an option does not exist.
-        SystemExit: with 0 after the help.
-        draccus.utils.DraccusException: a value is not of its option's type.
+        ValueError: An option does not exist.
+        SystemExit: With 0 after the help.
+        draccus.utils.DraccusException: A value is not of its option's type.
     """
     argv = bare_switches(spelled(underscored(argv), config_class), config_class)
     for argument in argv:
@@ -99,7 +99,7 @@ def _options(config_class: type, above: str = "--") -> list[str]:
 
 
 def bare_switches(argv: Sequence[str], config_class: type) -> list[str]:
-    """The command line with a bare ``--switch`` of a boolean option written out as ``--switch=true``."""
+    """The command line with a bare `--switch` of a boolean option written out as `--switch=true`."""
     switches = {f"--{entry.name}" for entry in fields(config_class) if entry.type in (bool, "bool")}
     arguments = list(argv)
     expanded = []
@@ -111,7 +111,7 @@ def bare_switches(argv: Sequence[str], config_class: type) -> list[str]:
 
 
 def underscored(argv: Sequence[str]) -> list[str]:
-    """The command line with options written ``--like-this`` written ``--like_this``, as they are declared."""
+    """The command line with options written `--like-this` written `--like_this`, as they are declared."""
     arguments = []
     for argument in argv:
         name, equals, value = argument.partition("=")
@@ -142,7 +142,7 @@ def words(text: str) -> list[str]:
 
 
 def numbers(text: str, option: str) -> list[int]:
-    """Numbers and ranges such as ``0-9,12``.
+    """Numbers and ranges such as `0-9,12`.
 
     Raises:
         ValueError: If a part is neither; the message names the option.

@@ -20,15 +20,15 @@ class ArmArrays:
     """Forward kinematics, Jacobian, limits, home posture and collision check on float64 arrays.
 
     Attributes:
-        description: the arm.
-        lower, upper: joint limits less LIMIT_MARGIN_RAD [rad], (dof,); one turn for joints without limits.
-        limits: joint limits as they are [rad, m], (dof,) each; infinite for joints without.
-        prismatic: which joints slide, (dof,).
-        home: a comfortable configuration [rad], (dof,).
-        base_to_tip: where the joints, counted from the base, stand in the joint vector.
+        description: The arm.
+        lower, upper: Joint limits less LIMIT_MARGIN_RAD [rad], (dof,); one turn for joints without limits.
+        limits: Joint limits as they are [rad, m], (dof,) each; infinite for joints without.
+        prismatic: Which joints slide, (dof,).
+        home: A comfortable configuration [rad], (dof,).
+        base_to_tip: Where the joints, counted from the base, stand in the joint vector.
 
     Raises:
-        ValueError: the description has no home.
+        ValueError: The description has no home.
     """
 
     def __init__(self, description: ArmDescription):

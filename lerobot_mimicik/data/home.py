@@ -24,11 +24,11 @@ def with_home(description: ArmDescription, home: tuple[float, ...] = ()) -> ArmD
     """The arm with a home configuration: the given one, else its own, else the one that `find_home` finds.
 
     Args:
-        description: the arm.
-        home: joints [rad, m], or empty.
+        description: The arm.
+        home: Joints [rad, m], or empty.
 
     Raises:
-        ValueError: the given home has another number of joints, or lies outside their limits.
+        ValueError: The given home has another number of joints, or lies outside their limits.
     """
     if not home and description.home:
         return description
@@ -51,8 +51,8 @@ def find_home(description: ArmDescription, floor: float | None = 0.0) -> np.ndar
     clear of itself and of the floor, with the tool above the floor.
 
     Args:
-        description: the arm.
-        floor: height of the floor in the base frame [m]; None: no floor.
+        description: The arm.
+        floor: Height of the floor in the base frame [m]; None: no floor.
     """
     lower, upper = joint_limits(description)
     lower, upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)

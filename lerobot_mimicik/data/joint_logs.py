@@ -38,8 +38,8 @@ class LogColumns(TableColumns):
     """Which columns of a log mean what; an empty field but `commands` is guessed from usual names.
 
     Attributes:
-        joints: measured joints, in the arm's order.
-        commands: commanded joints; empty: each frame aims at the next measured joints.
+        joints: Measured joints, in the arm's order.
+        commands: Commanded joints; empty: each frame aims at the next measured joints.
         units: "rad" or "deg", of joints that turn; those that slide are in m.
     """
 
@@ -83,20 +83,20 @@ def write_joint_logs(
     """Write the logs of a file, or of a folder's files, as one LeRobot dataset.
 
     Args:
-        source: parquet or CSV.
-        root: the dataset's folder.
-        description: the arm.
-        columns: where the logs keep what.
-        fps: frames per second of the dataset.
-        max_gap: longer holes in the stamps cut a recording in two [s].
-        min_duration: shorter pieces are left out [s].
-        task: sentence for logs that have none.
-        robot_type, overwrite, space: see `write_dataset`.
+        source: Parquet or CSV.
+        root: The dataset's folder.
+        description: The arm.
+        columns: Where the logs keep what.
+        fps: Frames per second of the dataset.
+        max_gap: Longer holes in the stamps cut a recording in two [s].
+        min_duration: Shorter pieces are left out [s].
+        task: Sentence for logs that have none.
+        robot_type, overwrite, space: See `write_dataset`.
 
     Raises:
-        FileNotFoundError: nothing at `source`.
+        FileNotFoundError: Nothing at `source`.
         FileExistsError: `root` holds something that may not be replaced.
-        ValueError: the source is also the output; columns that are missing, numbers that cannot be the arm's joints,
+        ValueError: The source is also the output; columns that are missing, numbers that cannot be the arm's joints,
             or no piece that is long enough.
     """
     columns = columns or LogColumns()

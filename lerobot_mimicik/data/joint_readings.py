@@ -30,12 +30,12 @@ class Mended:
     """What was done to readings.
 
     Attributes:
-        not_finite: rows left out because a number is missing or not finite.
-        glitches: rows left out because a joint is far outside its limits.
-        bridged: longest time without a usable row that frames were interpolated over [s].
-        jumps: places where the recording was cut because a joint jumped.
-        short: time in pieces too short to be used [s].
-        clipped: by joint, the number of readings outside its limits and how far out the furthest was [rad, m].
+        not_finite: Rows left out because a number is missing or not finite.
+        glitches: Rows left out because a joint is far outside its limits.
+        bridged: Longest time without a usable row that frames were interpolated over [s].
+        jumps: Places where the recording was cut because a joint jumped.
+        short: Time in pieces too short to be used [s].
+        clipped: By joint, the number of readings outside its limits and how far out the furthest was [rad, m].
     """
 
     not_finite: int = 0
@@ -67,13 +67,13 @@ def usable_rows(
     """Which rows can be used, shape (N,), and the joints (N, dof) within their limits, measured and commanded.
 
     Args:
-        description: the arm.
-        measured, commanded: joints [rad, m], (N, dof).
-        where: how messages call the log.
-        mended: is told what was done.
+        description: The arm.
+        measured, commanded: Joints [rad, m], (N, dof).
+        where: How messages call the log.
+        mended: Is told what was done.
 
     Raises:
-        ValueError: the numbers cannot be the arm's joints; names the reason and the options that say otherwise.
+        ValueError: The numbers cannot be the arm's joints; names the reason and the options that say otherwise.
     """
     finite = np.isfinite(measured).all(axis=1) & np.isfinite(commanded).all(axis=1)
     mended.not_finite += int(np.count_nonzero(~finite))
@@ -109,12 +109,12 @@ def pieces(
     """Stamps and joints of what is uninterrupted: usable, stamps strictly rising, neither a long hole nor a jump.
 
     Args:
-        time: stamps [s], (N,).
+        time: Stamps [s], (N,).
         joints: (N, k), of which every column counts.
-        usable: which rows are, (N,).
-        max_gap: longer holes cut [s].
-        fps: frames per second of the result.
-        mended: is told what was done.
+        usable: Which rows are, (N,).
+        max_gap: Longer holes cut [s].
+        fps: Frames per second of the result.
+        mended: Is told what was done.
     """
     rows = np.flatnonzero(np.isfinite(time) & usable)
     if not len(rows):

@@ -16,13 +16,13 @@ def stretched_clock(q: np.ndarray, max_step: float, extra: np.ndarray | None = N
     """When, on the old clock, each frame of the new one happens.
 
     Args:
-        q: joints on an even clock [rad], shape (T, dof), T >= 2.
-        max_step: largest joint motion per frame [rad].
-        extra: further factor per frame, at least 1, shape (T,): an interval takes the larger one of its two
+        q: Joints on an even clock [rad], shape (T, dof), T >= 2.
+        max_step: Largest joint motion per frame [rad].
+        extra: Further factor per frame, at least 1, shape (T,): an interval takes the larger one of its two
             ends.
 
     Returns:
-        increasing positions on the old frame axis, from 0 to T - 1, shape (T_new,), T_new >= T. Just the old
+        Increasing positions on the old frame axis, from 0 to T - 1, shape (T_new,), T_new >= T. Just the old
         frames if nothing is too fast.
     """
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)

@@ -42,13 +42,13 @@ class TableColumns:
     """Which columns of a table say when, who and what; an empty field is guessed from the names usual in the field.
 
     Attributes:
-        time: stamps. A table without stamps needs `fps`.
-        time_unit: s, ms, us, ns; empty: seconds if the median step lies between 0.1 ms and 2 s, else the
+        time: Stamps. A table without stamps needs `fps`.
+        time_unit: S, ms, us, ns; empty: seconds if the median step lies between 0.1 ms and 2 s, else the
             first of ms, us, ns for which it does.
-        fps: frame rate of a table without stamps [Hz], 0 if it has them.
-        groups: columns that together name one recording.
-        session: columns that together name a session; default: `groups` without the last.
-        task: what is done, a sentence per row.
+        fps: Frame rate of a table without stamps [Hz], 0 if it has them.
+        groups: Columns that together name one recording.
+        session: Columns that together name a session; default: `groups` without the last.
+        task: What is done, a sentence per row.
     """
 
     time: str = ""
@@ -78,8 +78,8 @@ def table_files(source: Path) -> list[Path]:
     """The file itself, or the tables in a folder, sorted.
 
     Raises:
-        FileNotFoundError: nothing at `source`.
-        ValueError: a folder without tables.
+        FileNotFoundError: Nothing at `source`.
+        ValueError: A folder without tables.
     """
     if not source.exists():
         raise FileNotFoundError(f"input {source} does not exist")
@@ -132,7 +132,7 @@ def numeric(table: pd.DataFrame, names: Sequence[str], where: str) -> np.ndarray
     """Columns as numbers, (rows, columns), NaN where a cell is empty.
 
     Raises:
-        ValueError: a cell holds something else; names table, column, row and cell.
+        ValueError: A cell holds something else; names table, column, row and cell.
     """
     import pandas as pd
 
@@ -160,7 +160,7 @@ def guess_one(table: pd.DataFrame, name: str, role: str, where: str) -> str | No
     """The column for a role ("time", "gripper", "task"): the one asked for, the first usual name, or None.
 
     Raises:
-        ValueError: the one asked for does not exist.
+        ValueError: The one asked for does not exist.
     """
     if name and name not in table.columns:
         raise ValueError(
@@ -174,7 +174,7 @@ def group_rows(table: pd.DataFrame, groups: tuple[str, ...]) -> list[np.ndarray]
     """The rows of each recording, in order; one recording where there are no group columns.
 
     Raises:
-        ValueError: a row belongs to no recording.
+        ValueError: A row belongs to no recording.
     """
     if not groups:
         return [np.arange(len(table))]
@@ -201,13 +201,13 @@ def spans(table: pd.DataFrame, columns: TableColumns, where: str, default_name: 
     """The recordings of a table, cut by its group columns.
 
     Args:
-        table: the table.
-        columns: what its columns mean.
-        where: how messages call the table.
-        default_name: of a recording, and its session, that no column names.
+        table: The table.
+        columns: What its columns mean.
+        where: How messages call the table.
+        default_name: Of a recording, and its session, that no column names.
 
     Raises:
-        ValueError: columns that do not exist, rows that belong to no recording, no stamps, or stamps that cannot
+        ValueError: Columns that do not exist, rows that belong to no recording, no stamps, or stamps that cannot
             be understood.
     """
     groups = existing(table, columns.groups, where, "group") or tuple(

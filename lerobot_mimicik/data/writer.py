@@ -5,7 +5,7 @@ which is right beside a robot and a hundred times too slow here. This writer lay
 whole arrays, with LeRobot's own functions for the schema, the metadata files and the aggregation of
 statistics.
 
-Frame t of an episode::
+Frame t of an episode:
 
     observation.state (measured)          q_t
     observation.ee_pose                   T_base_tool(q_t)      x y z qx qy qz qw, w >= 0
@@ -45,15 +45,15 @@ class Episode:
     """One episode of T frames, as it goes into a dataset.
 
     Attributes:
-        state: measured joints [rad], shape (T, dof).
-        action: commanded joints [rad], shape (T, dof).
-        ee_pose: tool pose of the measured joints in the base frame, xyzw, shape (T, 7).
-        ee_target: tool pose commanded, in the base frame, xyzw, shape (T, 7).
-        task: what is being done, a sentence.
-        session: who recorded it and when; splits never cut through a session.
-        gripper: measured and commanded gripper, shape (T, 2), or None for an arm without one.
+        state: Measured joints [rad], shape (T, dof).
+        action: Commanded joints [rad], shape (T, dof).
+        ee_pose: Tool pose of the measured joints in the base frame, xyzw, shape (T, 7).
+        ee_target: Tool pose commanded, in the base frame, xyzw, shape (T, 7).
+        task: What is being done, a sentence.
+        session: Who recorded it and when; splits never cut through a session.
+        gripper: Measured and commanded gripper, shape (T, 2), or None for an arm without one.
         ee_target_clean: `ee_target` without what was added to it (tremor), shape (T, 7); None: no such column.
-        ee_target_closest: the pose nearest to `ee_target` that the arm can have, shape (T, 7); None: no such column.
+        ee_target_closest: The pose nearest to `ee_target` that the arm can have, shape (T, 7); None: no such column.
     """
 
     state: np.ndarray
@@ -113,27 +113,27 @@ def write_dataset(
     space: str = "joints",
     beside: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
-    """Write `episodes` as a LeRobot v3 dataset that ``LeRobotDataset(repo_id, root=root)`` opens.
+    """Write `episodes` as a LeRobot v3 dataset that `LeRobotDataset(repo_id, root=root)` opens.
 
     Args:
-        root: folder of the dataset; must not exist or be empty unless `overwrite`. It appears only when the
+        root: Folder of the dataset; must not exist or be empty unless `overwrite`. It appears only when the
             dataset is complete.
-        repo_id: name of the dataset ("local/train"); recorded nowhere, used in messages.
-        episodes: consumed once, in order.
-        description: the arm, stored in meta/arm.json.
-        fps: frames per second.
+        repo_id: Name of the dataset ("local/train"); recorded nowhere, used in messages.
+        episodes: Consumed once, in order.
+        description: The arm, stored in meta/arm.json.
+        fps: Frames per second.
         robot_type: LeRobot's free-form robot name, stored in meta/info.json.
-        overwrite: replace a dataset that is already at `root`, if this project made it and nothing else is in it;
+        overwrite: Replace a dataset that is already at `root`, if this project made it and nothing else is in it;
             see `outputs`.
-        space: one of `SPACES`, that of state and action.
-        beside: text of further files by their paths below `root`.
+        space: One of `SPACES`, that of state and action.
+        beside: Text of further files by their paths below `root`.
 
     Returns:
         {"episodes": ..., "frames": ...}.
 
     Raises:
         FileExistsError: `root` or `root`.writing holds something that may not be replaced.
-        ValueError: no episode, or an episode with inconsistent shapes or non-finite numbers.
+        ValueError: No episode, or an episode with inconsistent shapes or non-finite numbers.
     """
     outputs.check_new(root, "dataset", overwrite)
     with outputs.building(root, "dataset") as new:
@@ -147,8 +147,8 @@ def read_arm_json(root: str | Path) -> ArmDescription:
     """The arm a dataset was written for, from its meta/arm.json.
 
     Raises:
-        FileNotFoundError: the dataset has no such file (it was not written by this project).
-        ValueError: the file is damaged.
+        FileNotFoundError: The dataset has no such file (it was not written by this project).
+        ValueError: The file is damaged.
     """
     description = arm_of_dataset(root)
     if description is None:
@@ -167,7 +167,7 @@ def import_lerobot() -> None:
 def episode_statistics(columns: dict[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
     """Per-feature statistics of one episode under the keys LeRobot stores.
 
-    Same as LeRobot's ``compute_episode_stats`` except that quantiles are exact instead of read off a
+    Same as LeRobot's `compute_episode_stats` except that quantiles are exact instead of read off a
     5,000-bin histogram, which also makes it fifty times faster on short episodes.
     """
     # All features side by side: one sort and one reduction instead of one per feature.

@@ -82,11 +82,11 @@ def learned_names() -> str:
 
 
 class Summary:
-    """What a benchmark has measured so far, kept in ``summary.json`` so that it can go on.
+    """What a benchmark has measured so far, kept in `summary.json` so that it can go on.
 
     Attributes:
-        rows: One mapping per solver, seed, dataset and mode: a row of ``report.json`` with its seed, the
-            dataset's folder (``root``) and quantiles of its position error.
+        rows: One mapping per solver, seed, dataset and mode: a row of `report.json` with its seed, the
+            dataset's folder (`root`) and quantiles of its position error.
         training: What each training cost, by row and seed.
         unavailable: Why a row could not be measured, by its name; forgotten between runs.
     """
@@ -174,7 +174,7 @@ def write_table(
     notes: Sequence[str],
     configurations: Mapping[str, str],
 ) -> None:
-    """Write ``table.json`` and ``table.md``.
+    """Write `table.json` and `table.md`.
 
     Args:
         out: Folder.

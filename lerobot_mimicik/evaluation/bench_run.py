@@ -1,6 +1,6 @@
 """The benchmark: trains every learned row that is not trained yet, measures all rows, writes table and figures.
 
-Everything is kept in the output folder, and another run goes on where the last one stopped::
+Everything is kept in the output folder, and another run goes on where the last one stopped:
 
     train/<row>-seed<n>/   run/ is what `lerobot-train` writes, logs/ what it prints
     summary.json           every row measured so far, saved after each, and what each training cost

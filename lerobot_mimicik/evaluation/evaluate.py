@@ -52,7 +52,7 @@ class Evaluation:
     """One row of the report and what it was computed from.
 
     Attributes:
-        row: The row, by the keys of ``report.json``.
+        row: The row, by the keys of `report.json`.
         recording: The dataset.
         traces: Per-frame measurements, one for each trajectory.
         verdicts: One for each trajectory; empty where the mode gives none.
@@ -65,7 +65,7 @@ class Evaluation:
 
 
 def study(arm: SerialArm, trajectories: TrajectorySet) -> Recording:
-    """Find the singular passages of a dataset; ``arm`` in float64."""
+    """Find the singular passages of a dataset; `arm` in float64."""
     length = characteristic_length(arm)
     values = tuple(smallest_singular_value(arm, one.q, length) for one in trajectories.trajectories)
     passages = tuple(tuple(find_passages(value, trajectories.fps)) for value in values)
@@ -87,8 +87,8 @@ def evaluate(
     Args:
         arm: Measures all of them; float64, joints in the order of the recordings.
         solvers: By the name that the table shows.
-        recordings: From ``study``.
-        modes: From ``known_modes()``.
+        recordings: From `study`.
+        modes: From `known_modes()`.
         latency_queries: Queries timed per solver, on the first trajectory of the first recording.
         seed: Set anew before each combination, for solvers and modes that draw noise.
         progress: Whether to show a bar for each combination.

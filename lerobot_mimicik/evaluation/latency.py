@@ -16,9 +16,9 @@ WARM_UP_QUERIES = 20
 
 @dataclass(frozen=True)
 class Latency:
-    """Duration of one query at batch 1, in ms, over ``queries`` queries after a warm-up.
+    """Duration of one query at batch 1, in ms, over `queries` queries after a warm-up.
 
-    ``energy_mj`` is the machine's energy for one, in mJ; None where it does not tell.
+    `energy_mj` is the machine's energy for one, in mJ; None where it does not tell.
     """
 
     median_ms: float
@@ -29,16 +29,16 @@ class Latency:
 
 
 def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200) -> Latency:
-    """Time ``solver`` along the recorded frames of one trajectory, from the start again where it ends.
+    """Time `solver` along the recorded frames of one trajectory, from the start again where it ends.
 
     Args:
         solver: Is reset, and asked about one configuration at a time; one that takes whole recordings only is timed
             once, and its time divided by the frames.
         trajectory: Where the questions come from.
-        queries: How many are timed; the first ``WARM_UP_QUERIES`` before them are not.
+        queries: How many are timed; the first `WARM_UP_QUERIES` before them are not.
 
     Raises:
-        ValueError: If ``queries`` is below one.
+        ValueError: If `queries` is below one.
     """
     if queries < 1:
         raise ValueError(f"Latency needs at least one query, got {queries}.")

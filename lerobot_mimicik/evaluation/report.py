@@ -1,4 +1,4 @@
-"""The report of an evaluation as ``report.json`` and as a Markdown table."""
+"""The report of an evaluation as `report.json` and as a Markdown table."""
 
 from __future__ import annotations
 
@@ -124,11 +124,11 @@ def write_report(
     recordings: Sequence[Recording],
     settings: Mapping[str, Any],
 ) -> tuple[Path, Path]:
-    """Write ``report.json`` and ``report.md`` into ``out``.
+    """Write `report.json` and `report.md` into `out`.
 
     Args:
         out: Folder; made where it does not exist.
-        rows: One mapping per row with at least ``ROW_KEYS``; rates in percent.
+        rows: One mapping per row with at least `ROW_KEYS`; rates in percent.
         recordings: The datasets of the rows.
         settings: What the evaluation was asked to do.
 
@@ -182,7 +182,7 @@ def headings() -> list[str]:
 
 
 def cells(row: Mapping[str, Any], spread: Mapping[str, float] | None = None) -> list[str]:
-    """A row's cells as text, in the order of ``headings``; ``spread`` is added to the values it has."""
+    """A row's cells as text, in the order of `headings`; `spread` is added to the values it has."""
     spread = spread or {}
     return [
         _format(row.get(key), form) + (f" ± {spread[key]:{form}}" if key in spread else "")

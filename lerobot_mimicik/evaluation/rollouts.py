@@ -1,8 +1,8 @@
 """Driving a solver along recorded motion: the modes of evaluation and what they leave behind.
 
-A mode is a function ``(solver, trajectories, options) -> list of Rollout`` registered by name with
-``register_mode``; everything after it (metrics, verdicts, report) treats all modes alike. Modes that need an
-arm come from elsewhere: modules of the entry-point group ``mimicik.modes`` register theirs when imported.
+A mode is a function `(solver, trajectories, options) -> list of Rollout` registered by name with
+`register_mode`; everything after it (metrics, verdicts, report) treats all modes alike. Modes that need an
+arm come from elsewhere: modules of the entry-point group `mimicik.modes` register theirs when imported.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Rollout:
         q_curr: Joints that the solver was told, (T, dof), rad.
         q_cmd: Its commands, (T, dof), rad.
         asked: Number of frames it was asked about; fewer than T where it was stopped after a non-finite
-            command (the last one asked), and then rows from ``asked`` on are NaN.
+            command (the last one asked), and then rows from `asked` on are NaN.
     """
 
     trajectory: Trajectory
@@ -59,7 +59,7 @@ _MODES: dict[str, Mode] = {}
 
 
 def register_mode(name: str) -> Callable[[Mode], Mode]:
-    """Make ``make_rollouts(name, ...)`` call the decorated function."""
+    """Make `make_rollouts(name, ...)` call the decorated function."""
 
     def register(mode: Mode) -> Mode:
         if _MODES.get(name, mode) is not mode:
@@ -71,7 +71,7 @@ def register_mode(name: str) -> Callable[[Mode], Mode]:
 
 
 def known_modes() -> tuple[str, ...]:
-    """Names that ``make_rollouts`` takes."""
+    """Names that `make_rollouts` takes."""
     for entry in entry_points(group="mimicik.modes"):
         entry.load()
     return tuple(_MODES)
@@ -80,7 +80,7 @@ def known_modes() -> tuple[str, ...]:
 def make_rollouts(
     mode: str, solver: IKSolver, trajectories: Sequence[Trajectory], options: RolloutOptions | None = None
 ) -> list[Rollout]:
-    """Drive ``solver`` along ``trajectories`` in the named mode; rollouts come in the same order.
+    """Drive `solver` along `trajectories` in the named mode; rollouts come in the same order.
 
     Raises:
         ValueError: If no mode has that name.

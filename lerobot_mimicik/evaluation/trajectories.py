@@ -35,7 +35,7 @@ class Trajectory:
     Attributes:
         index: Its episode number in the dataset.
         q: Measured joints, (T, dof), rad.
-        target: ``T_base_tool`` commanded at each frame, (T, 7), x y z (m) qx qy qz qw.
+        target: `T_base_tool` commanded at each frame, (T, 7), x y z (m) qx qy qz qw.
         clean: The same without what a stress set added to it, (T, 7); None where the dataset does not say.
         closest: The pose nearest to the target that the arm can have, (T, 7); None where the dataset does not say.
         arm: The arm that they are of; None where that is not known.
@@ -135,7 +135,7 @@ def load_trajectories(
         name: The set's name; None is the folder's.
 
     Raises:
-        FileNotFoundError: If ``root`` is no LeRobot dataset.
+        FileNotFoundError: If `root` is no LeRobot dataset.
         ValueError: If columns or episodes are missing (the message lists what exists), or the numbers cannot be
             this arm's: another arm's dataset, another unit, not finite.
     """
@@ -189,9 +189,9 @@ def first_seconds(
     """The beginning of each trajectory, and of these the first ones that fill a time in all.
 
     Args:
-        trajectories: the whole set.
-        of_each: longest that a trajectory may be, s.
-        in_all: longest that all of them may be together, s; the last one is cut to fit.
+        trajectories: The whole set.
+        of_each: Longest that a trajectory may be, s.
+        in_all: Longest that all of them may be together, s; the last one is cut to fit.
 
     Raises:
         ValueError: If a time is shorter than a frame.

@@ -16,11 +16,11 @@ def towards(pose: Array, target: Array, lower: Array, upper: Array) -> tuple[Arr
 
     Args:
         pose, target: (7,).
-        lower, upper: bounds of the step, translation [m] and rotation vector of R_target R_pose^T [rad], (6,),
+        lower, upper: Bounds of the step, translation [m] and rotation vector of R_target R_pose^T [rad], (6,),
             negative and positive.
 
     Returns:
-        the pose (7,) and the share of the way, 1.0 for the target itself.
+        The pose (7,) and the share of the way, 1.0 for the target itself.
     """
     turn = turned(pose[3:], target[3:])
     step = np.concatenate([target[:3] - pose[:3], turn])

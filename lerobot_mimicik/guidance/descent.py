@@ -313,20 +313,20 @@ def descend(x, past, start, max_step, arm, goal, costs, bounds, iterations, damp
     """Improve the plan `x` (T, n) in place; it must keep the bounds, and every accepted one does.
 
     Args:
-        x: where to begin.
-        past: the last three commands (3, n), oldest first; the last is what the first step starts from.
+        x: Where to begin.
+        past: The last three commands (3, n), oldest first; the last is what the first step starts from.
         start: That one.
         max_step: Bound on the steps (n,).
         arm: Chain, spheres, pairs of spheres and units of the joints.
         goal: Rotations (T, 3, 3), positions (T, 3) and the task, as `search.kernel_task` makes it.
         costs: Weights, posture (n,), prior (T, n) and its weight (T,), collision zone, and a quadratic of the user's.
         bounds: Lower and upper limits and margins (n,).
-        iterations: most steps.
+        iterations: Most steps.
         damping: Levenberg-Marquardt damping as a multiple of the squared pose residual of the frame (Sugihara 2011).
-        gain: fraction of the cost that a step must gain for another one to follow.
+        gain: Fraction of the cost that a step must gain for another one to follow.
 
     Returns:
-        cost, residuals (T, 6), steps taken.
+        Cost, residuals (T, 6), steps taken.
     """
     frames, n = x.shape
     unit, weights, extra = arm[3], costs[0], costs[5]

@@ -202,7 +202,7 @@ class GuidanceSettings:
         """Settings from keyword arguments or JSON.
 
         Raises:
-            ValueError: one does not exist, or its value does not fit; the message names it.
+            ValueError: One does not exist, or its value does not fit; the message names it.
         """
         _check_names(cls, values)
         return cls(**values)

@@ -27,7 +27,7 @@ class JointStep(nn.Module):
 
         Args:
             frames: q [rad], current and target pose side by side, oldest frame first, float64, (T_o, dof + 14).
-            noise: what the objective draws, float32, (1, draws * dof).
+            noise: What the objective draws, float32, (1, draws * dof).
 
         Returns:
             float64, (dof,).

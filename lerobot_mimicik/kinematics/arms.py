@@ -22,12 +22,12 @@ class ArmDescription:
 
     Attributes:
         urdf: URDF text.
-        base_link: the link whose frame poses are given in.
-        tip_link: the link that carries the tool.
-        joint_names: the movable joints between base and tip, in the order of the joint vector q.
-        tool_offset: pose of the tool frame in the tip link: empty (the tip itself), xyz [m], or xyz and rpy
+        base_link: The link whose frame poses are given in.
+        tip_link: The link that carries the tool.
+        joint_names: The movable joints between base and tip, in the order of the joint vector q.
+        tool_offset: Pose of the tool frame in the tip link: empty (the tip itself), xyz [m], or xyz and rpy
             [rad].
-        home: a comfortable joint configuration [rad, m], in the order of `joint_names`, or empty.
+        home: A comfortable joint configuration [rad, m], in the order of `joint_names`, or empty.
     """
 
     urdf: str
@@ -57,7 +57,7 @@ class ArmDescription:
         """All joints from base to tip, fixed ones included, in that order; errors as `Urdf.serial_chain`.
 
         Raises:
-            UrdfError: also when `joint_names` is not a permutation of the chain's movable joints.
+            UrdfError: Also when `joint_names` is not a permutation of the chain's movable joints.
         """
         path = read_urdf(self.urdf).serial_chain(self.base_link, self.tip_link)
         _check_joint_names(self.joint_names, path, self.base_link, self.tip_link)
@@ -77,7 +77,7 @@ class ArmDescription:
         """Read what `to_json` wrote.
 
         Raises:
-            ValueError: not JSON, an entry is missing, or one is not known.
+            ValueError: Not JSON, an entry is missing, or one is not known.
         """
         values = json.loads(text)
         if not isinstance(values, Mapping):
@@ -101,7 +101,7 @@ def arm_of_dataset(root: str | Path) -> ArmDescription | None:
     """The arm that the dataset in a folder was written for; None where it does not say.
 
     Raises:
-        ValueError: its file is damaged.
+        ValueError: Its file is damaged.
     """
     path = Path(root) / ARM_FILE
     if not path.is_file():
@@ -128,14 +128,14 @@ def describe_arm(
     """Describe a shipped arm, or any serial chain of a URDF.
 
     Args:
-        name_or_path: one of `SHIPPED_ARMS`, a path to a URDF, or URDF text (it starts with `<`).
-        base_link: default: the shipped arm's, else the URDF's root.
-        tip_link: default: the shipped arm's, else the only leaf below the base.
-        joint_names: order of the joint vector; default: from base to tip.
-        tool_offset: pose of the tool frame in the tip link: xyz [m], or xyz and rpy [rad]; default: none.
+        name_or_path: One of `SHIPPED_ARMS`, a path to a URDF, or URDF text (it starts with `<`).
+        base_link: Default: the shipped arm's, else the URDF's root.
+        tip_link: Default: the shipped arm's, else the only leaf below the base.
+        joint_names: Order of the joint vector; default: from base to tip.
+        tool_offset: Pose of the tool frame in the tip link: xyz [m], or xyz and rpy [rad]; default: none.
 
     Raises:
-        UrdfError: an arm, file, link or joint that does not exist (the message lists those that do), or a
+        UrdfError: An arm, file, link or joint that does not exist (the message lists those that do), or a
             chain that is no serial arm. It is a ValueError.
     """
     shipped = SHIPPED.get(str(name_or_path))

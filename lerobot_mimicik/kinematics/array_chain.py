@@ -25,11 +25,11 @@ class ArrayChain:
     Its frame here has the joint's axis as z.
 
     Attributes:
-        dof: number of movable joints, in the order of the description's `joint_names`.
-        links: for every link from base to tip, fixed ones included, its body and its pose T_body_link.
-        steps: constant poses from the frame of one movable joint, its axis as z, to the next, from the base on.
-        columns, prismatic: where each of these joints stands in the joint vector, and whether it slides.
-        tool: constant pose from the last of these frames to the tool.
+        dof: Number of movable joints, in the order of the description's `joint_names`.
+        links: For every link from base to tip, fixed ones included, its body and its pose T_body_link.
+        steps: Constant poses from the frame of one movable joint, its axis as z, to the next, from the base on.
+        columns, prismatic: Where each of these joints stands in the joint vector, and whether it slides.
+        tool: Constant pose from the last of these frames to the tool.
     """
 
     def __init__(self, description: ArmDescription) -> None:
@@ -88,11 +88,11 @@ class ArrayChain:
         """Points fixed to the bodies, in the base frame.
 
         Args:
-            q: joints (N, dof).
-            points: for each of the dof + 1 bodies its points in the body's frame, shape (P_b, 3).
+            q: Joints (N, dof).
+            points: For each of the dof + 1 bodies its points in the body's frame, shape (P_b, 3).
 
         Returns:
-            for each body its points in the base frame, shape (P_b, 3, N).
+            For each body its points in the base frame, shape (P_b, 3, N).
         """
         moved = []
         for (columns, position), own in zip(self._walk(q), points, strict=True):

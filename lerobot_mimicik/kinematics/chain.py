@@ -28,12 +28,12 @@ class SerialArm:
     pose to q.
 
     Attributes:
-        description: what the arm was built from.
-        dof: number of movable joints.
-        joint_names: their names, in the order of q.
-        lower, upper: position limits, shape (dof,); infinite for continuous joints.
-        velocity: speed limits [rad/s; m/s], shape (dof,); infinite where the URDF gives none.
-        device, dtype: where and how it computes.
+        description: What the arm was built from.
+        dof: Number of movable joints.
+        joint_names: Their names, in the order of q.
+        lower, upper: Position limits, shape (dof,); infinite for continuous joints.
+        velocity: Speed limits [rad/s; m/s], shape (dof,); infinite where the URDF gives none.
+        device, dtype: Where and how it computes.
     """
 
     def __init__(
@@ -45,8 +45,8 @@ class SerialArm:
         """Build the chain.
 
         Raises:
-            UrdfError: the description does not fit its URDF; see `ArmDescription.chain`. It is a ValueError.
-            ValueError: a dtype other than float32 or float64.
+            UrdfError: The description does not fit its URDF; see `ArmDescription.chain`. It is a ValueError.
+            ValueError: A dtype other than float32 or float64.
         """
         if dtype not in (torch.float32, torch.float64):
             raise ValueError(f"an arm computes in torch.float32 or torch.float64, not {dtype}")
@@ -87,7 +87,7 @@ class SerialArm:
         """Tool poses `T_base_tool`. Shape (*, dof) -> (*, 7).
 
         Raises:
-            ValueError: the last axis of `q` is not dof long, or `q` is on another device.
+            ValueError: The last axis of `q` is not dof long, or `q` is on another device.
         """
         return self._map(lambda rows: matrix_to_pose(self._transforms(rows)), q)
 

@@ -22,17 +22,17 @@ class ArmCollision:
     """Clearance of an arm to itself and to the floor.
 
     Attributes:
-        spheres: number of spheres on the arm; 0 means that nothing is ever checked.
-        pairs: number of sphere pairs that are checked.
+        spheres: Number of spheres on the arm; 0 means that nothing is ever checked.
+        pairs: Number of sphere pairs that are checked.
     """
 
     def __init__(self, description: ArmDescription, reference: np.ndarray, floor: float | None = 0.0) -> None:
         """Lay the spheres and leave out what touches in the reference configuration.
 
         Args:
-            description: the arm.
-            reference: joints [rad] known to be free of collision, shape (dof,), such as a home configuration.
-            floor: height of the floor in the base frame (z up) [m], or None for no floor. The base and the
+            description: The arm.
+            reference: Joints [rad] known to be free of collision, shape (dof,), such as a home configuration.
+            floor: Height of the floor in the base frame (z up) [m], or None for no floor. The base and the
                 first moving body stand on it and do not count.
         """
         self._chain = array_chain(description)

@@ -28,18 +28,18 @@ def fk_consistency_loss(
     in 1 - cos theta.
 
     Args:
-        arm: the arm; it must be on the device of the other arguments.
-        q_cmd: joint commands [rad], shape (*, dof). Gradients flow here.
-        pose_target: poses `T_base_tool` that were asked for, shape (*, 7), unit quaternions, either
+        arm: The arm; it must be on the device of the other arguments.
+        q_cmd: Joint commands [rad], shape (*, dof). Gradients flow here.
+        pose_target: Poses `T_base_tool` that were asked for, shape (*, 7), unit quaternions, either
             half-sphere.
-        rotation_weight: weight of the rotation term [1/rad^2].
-        position_scale: the unit of position [m].
+        rotation_weight: Weight of the rotation term [1/rad^2].
+        position_scale: The unit of position [m].
 
     Returns:
         Loss per sample, shape (*,), without unit.
 
     Raises:
-        ValueError: shapes or devices that do not fit, or a position scale that is not positive.
+        ValueError: Shapes or devices that do not fit, or a position scale that is not positive.
     """
     if not position_scale > 0:
         raise ValueError(f"position_scale must be above 0 m, found {position_scale}")

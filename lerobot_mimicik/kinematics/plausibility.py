@@ -38,15 +38,15 @@ def why_not_joints(
     """Why numbers cannot be the arm's joints, or None: one of them is far outside the joint's limits.
 
     Args:
-        description: the arm.
-        joints: in rad (m where a joint slides), shape (dof,) or (T, dof).
-        margin: how far outside is far [rad, m]; `COMMANDS_OUTSIDE_LIMITS` for recorded commands.
+        description: The arm.
+        joints: In rad (m where a joint slides), shape (dof,) or (T, dof).
+        margin: How far outside is far [rad, m]; `COMMANDS_OUTSIDE_LIMITS` for recorded commands.
 
     Returns:
         The reason, which names joint, value, limits and frame, and whether the numbers would fit in degrees.
 
     Raises:
-        ValueError: the last axis is not the arm's number of joints.
+        ValueError: The last axis is not the arm's number of joints.
     """
     lower, upper = joint_limits(description)
     values = _rows(joints, len(lower), "joints")
@@ -71,14 +71,14 @@ def why_not_poses(description: ArmDescription, poses: ArrayLike) -> str | None:
     """Why numbers cannot be poses of the arm's tool, or None: a position is far outside the arm's reach.
 
     Args:
-        description: the arm.
+        description: The arm.
         poses: `T_base_tool`, x y z [m] and anything after them, shape (>= 3,) or (T, >= 3).
 
     Returns:
         The reason, which names position, reach and frame, and whether the numbers would fit in millimetres.
 
     Raises:
-        ValueError: fewer than three numbers a pose.
+        ValueError: Fewer than three numbers a pose.
     """
     numbers = np.asarray(poses, dtype=float)
     if numbers.ndim not in (1, 2) or numbers.shape[-1] < 3:
@@ -109,12 +109,12 @@ def why_not_order(description: ArmDescription, joints: ArrayLike, poses: ArrayLi
     Poses of another tool, or in another base, are judged by how the orientation turns with the joints, if it does.
 
     Args:
-        description: the arm.
-        joints: in rad, shape (T, dof).
+        description: The arm.
+        joints: In rad, shape (T, dof).
         poses: `T_base_tool` of the same moments, x y z [m] and a quaternion, shape (T, 7).
 
     Raises:
-        ValueError: the shapes do not fit each other or the arm.
+        ValueError: The shapes do not fit each other or the arm.
     """
     q = _rows(joints, len(description.joint_names), "joints")
     numbers = np.atleast_2d(np.asarray(poses, dtype=float))
@@ -176,15 +176,15 @@ def check_plausible(
     """Refuse joints or poses that cannot be the arm's; the order of quaternions is `why_not_order`'s.
 
     Args:
-        description: the arm.
-        joints: as `why_not_joints`; None: not judged.
-        poses: as `why_not_poses`; None: not judged.
-        what: where the numbers are from, which begins the message: a file, a column.
-        joints_remedy: what the user can do about joints, which ends the message: `--policy.joint_units=deg`.
-        poses_remedy: the same for poses.
+        description: The arm.
+        joints: As `why_not_joints`; None: not judged.
+        poses: As `why_not_poses`; None: not judged.
+        what: Where the numbers are from, which begins the message: a file, a column.
+        joints_remedy: What the user can do about joints, which ends the message: `--policy.joint_units=deg`.
+        poses_remedy: The same for poses.
 
     Raises:
-        ValueError: they cannot; the message has the reason and the remedy.
+        ValueError: They cannot; the message has the reason and the remedy.
     """
     judgements = (
         (None if joints is None else why_not_joints(description, joints), joints_remedy),

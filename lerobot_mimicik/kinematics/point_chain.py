@@ -34,7 +34,7 @@ class PointChain:
         """`T_base_tool` (7,), x y z (m) qx qy qz qw with qw >= 0, of joints (dof,) [rad, or m].
 
         Raises:
-            ValueError: another number of joints.
+            ValueError: Another number of joints.
         """
         frame = _follow(self._walk(q)[-1], self._tool)
         return np.array([*frame[9:], *_quaternion(frame)])
@@ -43,7 +43,7 @@ class PointChain:
         """Tool rotation (3, 3), position (3,) and geometric Jacobian (6, dof), linear rows first.
 
         Raises:
-            ValueError: another number of joints.
+            ValueError: Another number of joints.
         """
         frames = self._walk(q)
         tool = _follow(frames[-1], self._tool)

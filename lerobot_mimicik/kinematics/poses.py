@@ -97,7 +97,7 @@ def decode_pose(numbers: ArrayLike, form: PoseFormat) -> Array:
     Quaternions are normalised and 6-D rotations orthonormalised, since networks return neither exactly.
 
     Raises:
-        ValueError: a wrong width, or a rotation that is none: a quaternion shorter than 0.1, or a 6-D
+        ValueError: A wrong width, or a rotation that is none: a quaternion shorter than 0.1, or a 6-D
             rotation whose two vectors are shorter than that or parallel.
     """
     numbers = np.asarray(numbers, dtype=float)
@@ -148,10 +148,10 @@ class PolicyFrames:
     """How a policy's poses relate to the arm's `T_base_tool`.
 
     Attributes:
-        form: vector format.
-        reference: what target poses are relative to.
-        tool: pose of the policy's tool in the arm's tool frame, T_tool_policytool (7,).
-        base: pose of the policy's base in the arm's base frame, T_base_policybase (7,).
+        form: Vector format.
+        reference: What target poses are relative to.
+        tool: Pose of the policy's tool in the arm's tool frame, T_tool_policytool (7,).
+        base: Pose of the policy's base in the arm's base frame, T_base_policybase (7,).
     """
 
     form: PoseFormat = PoseFormat.QUATERNION
@@ -175,11 +175,11 @@ class PolicyFrames:
         """A policy's target poses (*, form.width) as the arm's `T_base_tool` (*, 7).
 
         Args:
-            numbers: what the policy answered.
-            pose_base_tool: the arm's pose when it was asked, (7,).
+            numbers: What the policy answered.
+            pose_base_tool: The arm's pose when it was asked, (7,).
 
         Raises:
-            ValueError: as `decode_pose`.
+            ValueError: As `decode_pose`.
         """
         given = decode_pose(numbers, self.form)
         current = compose(inverse(self.base), compose(pose_base_tool, self.tool))

@@ -22,9 +22,9 @@ class Column:
     """Numbers of one dataset column.
 
     Attributes:
-        name: the column's.
-        values: shape (N, d), joints in rad, poses as x y z [m] qx qy qz qw.
-        elements: names of the d numbers.
+        name: The column's.
+        values: Shape (N, d), joints in rad, poses as x y z [m] qx qy qz qw.
+        elements: Names of the d numbers.
     """
 
     name: str
@@ -46,17 +46,17 @@ def check_recorded(
     """Refuse a recording that cannot be of an arm.
 
     Args:
-        description: the arm.
-        episode: each frame's episode, shape (N,); frames of an episode follow each other.
-        joints: measured, (N, dof).
-        commands: target joints, (N, dof), or None.
+        description: The arm.
+        episode: Each frame's episode, shape (N,); frames of an episode follow each other.
+        joints: Measured, (N, dof).
+        commands: Target joints, (N, dof), or None.
         current_pose: `T_base_tool` measured, (N, 7), or None.
         target_pose: `T_base_tool` asked for, (N, 7), or None.
-        where: the dataset, for messages.
-        joints_remedy: what the user can do where joints are in another unit.
+        where: The dataset, for messages.
+        joints_remedy: What the user can do where joints are in another unit.
 
     Raises:
-        ValueError: a number is not finite, joints are far outside the limits, poses far outside the reach, or
+        ValueError: A number is not finite, joints are far outside the limits, poses far outside the reach, or
             quaternions in another order than xyzw; it names column, episode and frame, and the remedy.
     """
     columns = [each for each in (joints, commands, current_pose, target_pose) if each is not None]

@@ -77,7 +77,7 @@ class Urdf:
         The base defaults to the root and the tip to the only leaf below the base.
 
         Raises:
-            UrdfError: a link that does not exist, a tip that is not below the base, several leaves and no tip
+            UrdfError: A link that does not exist, a tip that is not below the base, several leaves and no tip
                 given, no movable joint between them, or a joint that a serial arm cannot have (floating,
                 planar, mimic).
         """
@@ -151,7 +151,7 @@ def read_urdf(source: str | Path) -> Urdf:
     """Parse a URDF given as a path or as text (text starts with `<`).
 
     Raises:
-        UrdfError: not a file, not XML, not a `<robot>`, repeated or missing names, values that are not
+        UrdfError: Not a file, not XML, not a `<robot>`, repeated or missing names, values that are not
             numbers, limits that are missing or in the wrong order, or joints that do not form one tree.
     """
     text = _text_of(source)

@@ -50,8 +50,8 @@ def read_report(path: str | Path) -> dict[str, Any]:
     """A report of `mimicik eval`, given `report.json` or the folder it is in.
 
     Raises:
-        FileNotFoundError: if there is none.
-        ValueError: if it is no such report.
+        FileNotFoundError: If there is none.
+        ValueError: If it is no such report.
     """
     from lerobot_mimicik.evaluation.report import ROW_KEYS
 
@@ -79,11 +79,11 @@ def find_report(folder: str | Path, digest: str) -> dict[str, Any] | None:
     """The report of a checkpoint's weights: in its folder, in `eval` there, or in its training run.
 
     Args:
-        folder: the checkpoint's folder.
+        folder: The checkpoint's folder.
         digest: `weights_digest` of the policy that the report must be about.
 
     Raises:
-        ValueError: if a file called `report.json` there is no report.
+        ValueError: If a file called `report.json` there is no report.
     """
     folder = Path(folder).resolve()
     places = [folder / place for place in _REPORT_PLACES]
@@ -140,19 +140,19 @@ def push_policy(
     """Uploads a policy with its processors, its model card and, where there is one, its evaluation.
 
     Args:
-        policy: what is uploaded.
-        repo_id: a Hub repository, `user/name`; made where it does not exist.
-        source: the folder or Hub repository the policy was loaded from: its processors and training settings
+        policy: What is uploaded.
+        repo_id: A Hub repository, `user/name`; made where it does not exist.
+        source: The folder or Hub repository the policy was loaded from: its processors and training settings
             go along, and its evaluation is found. Without it, processors are made from the configuration.
         report: `report.json` of `mimicik eval` for these weights, its folder, or its content.
-        card_kwargs: passed to `model_card`: `license`, `tags`, `training`.
+        card_kwargs: Passed to `model_card`: `license`, `tags`, `training`.
         commit_message, private, token, branch, create_pr, allow_patterns, ignore_patterns, delete_patterns:
             as in LeRobot's `push_to_hub`.
 
     Raises:
-        FileNotFoundError: if `source` or `report` does not exist.
-        ValueError: if the report is none, or is one of other weights.
-        huggingface_hub.errors.HfHubHTTPError: what the Hub refuses.
+        FileNotFoundError: If `source` or `report` does not exist.
+        ValueError: If the report is none, or is one of other weights.
+        huggingface_hub.errors.HfHubHTTPError: What the Hub refuses.
     """
     digest = weights_digest(policy.state_dict())
     folder = None if source is None else _checkpoint_folder(source, token)

@@ -39,11 +39,11 @@ class TrainingFacts:
 
     Attributes:
         dataset: LeRobot repository of the training data.
-        episodes: episodes in that dataset.
-        frames: frames in that dataset.
-        fps: frames a second: the rate at which commands are meant to be asked for.
-        batch_size: samples of one process's step.
-        seed: of the training.
+        episodes: Episodes in that dataset.
+        frames: Frames in that dataset.
+        fps: Frames a second: the rate at which commands are meant to be asked for.
+        batch_size: Samples of one process's step.
+        seed: Of the training.
     """
 
     dataset: str | None = None
@@ -67,13 +67,13 @@ def model_card(
     Its metadata is checked by the Hub when the card is uploaded, as that of every README is.
 
     Args:
-        policy: the policy, with the weights that are published.
-        repo_id: where it is published; a placeholder stands in the commands without it.
-        training: what is known of the training.
+        policy: The policy, with the weights that are published.
+        repo_id: Where it is published; a placeholder stands in the commands without it.
+        training: What is known of the training.
         report: `report.json` of `mimicik eval` for these very weights; None if there is none.
-        license: the publisher's licence for the weights; `unknown` if none is given, because only
+        license: The publisher's licence for the weights; `unknown` if none is given, because only
             the publisher can grant one.
-        tags: further tags.
+        tags: Further tags.
     """
     training = training or TrainingFacts()
     known_dataset = training.dataset if _on_hub(training.dataset) else None

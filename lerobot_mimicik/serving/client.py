@@ -21,14 +21,14 @@ from lerobot_mimicik.solvers.base import Array, IKSolver
 class IKClient(IKSolver):
     """One solver of one server, asked as if it were here; for one thread at a time.
 
-    The server keeps the history of a stateful solver in a session, which ``reset`` opens, as does the first
-    question if there was no ``reset``. After a timeout the connection is made anew, and an answer that comes
+    The server keeps the history of a stateful solver in a session, which `reset` opens, as does the first
+    question if there was no `reset`. After a timeout the connection is made anew, and an answer that comes
     late is never taken for the answer to another question; whether the server's solver has seen the frame
-    that timed out is unknown, so whoever needs an exact history calls ``reset``.
+    that timed out is unknown, so whoever needs an exact history calls `reset`.
 
-    All errors that concern the server are ``ServingError`` (a RuntimeError): ``ServerTimeoutError`` (also a
-    TimeoutError), ``BadRequestError`` (also a ValueError), ``UnknownSessionError``, ``RateExceededError`` and
-    ``SolverFailedError``.
+    All errors that concern the server are `ServingError` (a RuntimeError): `ServerTimeoutError` (also a
+    TimeoutError), `BadRequestError` (also a ValueError), `UnknownSessionError`, `RateExceededError` and
+    `SolverFailedError`.
 
     Attributes:
         session: The token of the session on the server; empty before there is one.
@@ -46,7 +46,7 @@ class IKClient(IKSolver):
         """Connect, and ask the server what it has.
 
         Args:
-            address: The server's ``tcp://HOST:PORT`` or ``ipc://PATH``.
+            address: The server's `tcp://HOST:PORT` or `ipc://PATH`.
             solver: Name of one of its solvers.
             joint_names: Joints that the arm must have, in this order; None: whichever it has.
             timeout_s: Longest wait for an answer, in s.
@@ -130,7 +130,7 @@ class IKClient(IKSolver):
             self._read_info(self.joint_names)
 
     def solve(self, q_curr: Array, target_pose: Array) -> Array:
-        """The server's command; (dof,) and (7,), or where ``batched`` (B, dof) and (B, 7)."""
+        """The server's command; (dof,) and (7,), or where `batched` (B, dof) and (B, 7)."""
         upcoming, self._upcoming = self._upcoming, None
         return self._commands("solve", q_curr, target_pose, *([] if upcoming is None else [upcoming]))
 

@@ -34,15 +34,15 @@ class Limits:
 
 
 class RateLimiter:
-    """A token bucket for every client: ``burst`` tokens when full, refilled at ``rate`` a second."""
+    """A token bucket for every client: `burst` tokens when full, refilled at `rate` a second."""
 
     def __init__(self, rate: float, burst: float, max_clients: int = 1024) -> None:
-        """``max_clients`` bounds the memory: beyond it the client known longest starts with a full bucket."""
+        """`max_clients` bounds the memory: beyond it the client known longest starts with a full bucket."""
         self.rate, self.burst, self.max_clients = rate, burst, max_clients
         self._buckets: dict[bytes | str, list[float]] = {}
 
     def allows(self, client: bytes | str, now: float) -> bool:
-        """Take one token of ``client`` at time ``now`` (s, never decreasing); False where it has none."""
+        """Take one token of `client` at time `now` (s, never decreasing); False where it has none."""
         if not self.rate:
             return True
         bucket = self._buckets.get(client)

@@ -4,7 +4,7 @@
     reply     id (8 bytes) | [version, True, value]   or   [version, False, code, message]
 
 The id is the client's and comes back unread, also where the body is refused. A session is the token that
-``reset`` answered with, or empty. An array is ``[dtype, shape, bytes]``, row-major and little-endian. A method
+`reset` answered with, or empty. An array is `[dtype, shape, bytes]`, row-major and little-endian. A method
 with its arguments and value:
 
     info                              {"joint_names", "solvers": {name: batched}, "max_bytes", "max_rows",
@@ -18,7 +18,7 @@ with its arguments and value:
     close                             None
 
 Nothing here trusts its input: whatever bytes come in, decoding ends in values of the stated types or in
-``BadRequestError``. No object is ever built from a name in the data.
+`BadRequestError`. No object is ever built from a name in the data.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _LONGEST_AXIS = 1 << 31
 
 
 class ServingError(RuntimeError):
-    """What went wrong between a client and its server; ``code`` is its name on the wire."""
+    """What went wrong between a client and its server; `code` is its name on the wire."""
 
     code = "server"
 
@@ -53,7 +53,7 @@ class BadRequestError(ServingError, ValueError):
 
 
 class UnknownSessionError(ServingError, LookupError):
-    """The server has no such session (any more); ``reset`` opens a new one."""
+    """The server has no such session (any more); `reset` opens a new one."""
 
     code = "session"
 
@@ -71,7 +71,7 @@ class SolverFailedError(ServingError):
 
 
 class ServerTimeoutError(ServingError, TimeoutError):
-    """No answer came in time. What a stateful solver has seen is then unknown until the next ``reset``."""
+    """No answer came in time. What a stateful solver has seen is then unknown until the next `reset`."""
 
     code = "timeout"
 
@@ -96,7 +96,7 @@ def decode_array(item: Any, name: str, dtype: str = FLOAT) -> NDArray[Any]:
         dtype: The only one that is taken.
 
     Raises:
-        BadRequestError: If ``item`` is no such array; the message names what was found.
+        BadRequestError: If `item` is no such array; the message names what was found.
     """
     if type(item) is not list or len(item) != 3:
         raise BadRequestError(f"{name}: expected an array [dtype, shape, bytes], got {type(item).__name__}.")
@@ -118,7 +118,7 @@ def decode_array(item: Any, name: str, dtype: str = FLOAT) -> NDArray[Any]:
 
 
 def pack_request(number: int, method: str, session: bytes, arguments: Sequence[Any] = ()) -> bytes:
-    """A request as one frame; ``number`` is its id."""
+    """A request as one frame; `number` is its id."""
     return number.to_bytes(ID_BYTES) + msgpack.packb([VERSION, method, session, *arguments])
 
 
@@ -159,12 +159,12 @@ def unpack_request(message: bytes) -> tuple[str, bytes, list[Any]]:
 
 
 def pack_reply(identity: bytes, value: Any) -> bytes:
-    """The answer to the request whose id was ``identity``."""
+    """The answer to the request whose id was `identity`."""
     return identity + msgpack.packb([VERSION, True, value])
 
 
 def pack_error(identity: bytes, error: ServingError) -> bytes:
-    """The refusal of the request whose id was ``identity``."""
+    """The refusal of the request whose id was `identity`."""
     return identity + msgpack.packb([VERSION, False, error.code, str(error)[:_MAX_MESSAGE]])
 
 

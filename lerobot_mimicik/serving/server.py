@@ -58,13 +58,13 @@ class IKServer:
     Clients take turns, so that long questions of one do not hold up the short ones of others.
 
     Bound to anything but loopback or ipc it demands keys. A request that cannot be answered is answered
-    with an error, and the server goes on. ``serve`` runs in one thread, any one; ``stop`` may be called from
+    with an error, and the server goes on. `serve` runs in one thread, any one; `stop` may be called from
     others and from signal handlers.
 
     Clients are told apart by their key where there are keys, else by their connection.
 
     Attributes:
-        address: Where it listens, with the port that was chosen if the given one was 0 or ``*``.
+        address: Where it listens, with the port that was chosen if the given one was 0 or `*`.
         answered, refused: Number of requests so far that got an answer, and an error.
     """
 
@@ -76,17 +76,17 @@ class IKServer:
         limits: Limits | None = None,
         keys: ServerKeys | None = None,
     ) -> None:
-        """Build the solvers and begin to listen; questions are answered by ``serve``.
+        """Build the solvers and begin to listen; questions are answered by `serve`.
 
         Args:
             factories: What builds a solver, by the name that clients ask for.
             joint_names: Joints of the arm, in the order of its joint vector.
-            bind: ``tcp://HOST:PORT`` or ``ipc://PATH``.
+            bind: `tcp://HOST:PORT` or `ipc://PATH`.
             limits: How much a client may use; None: the defaults.
             keys: Own key and allowed clients; None: no encryption, for local addresses only.
 
         Raises:
-            ValueError: If there is no solver, or ``bind`` can be reached from outside and there are no keys.
+            ValueError: If there is no solver, or `bind` can be reached from outside and there are no keys.
             OSError: If the address cannot be had, or a key file is missing.
         """
         if not factories:
@@ -159,7 +159,7 @@ class IKServer:
             raise OSError(f"Cannot listen on {bind}: {error}.") from error
 
     def serve(self) -> None:
-        """Answer until ``stop`` is called, from wherever; returns at once if it was called before."""
+        """Answer until `stop` is called, from wherever; returns at once if it was called before."""
         while not self._stopping.is_set():
             self._take_in()
             self._take_turn()
@@ -198,11 +198,11 @@ class IKServer:
             del self._waiting[client]
 
     def stop(self) -> None:
-        """Make ``serve`` return within a tenth of a second, or after the piece of work that it is at."""
+        """Make `serve` return within a tenth of a second, or after the piece of work that it is at."""
         self._stopping.set()
 
     def close(self) -> None:
-        """Stop listening and free everything, after ``serve`` has returned; a second call does nothing."""
+        """Stop listening and free everything, after `serve` has returned; a second call does nothing."""
         self._stopping.set()
         self._socket.close(0)
         if self._authenticator is not None:

@@ -21,7 +21,7 @@ class Session:
 
 
 class SessionTable:
-    """At most ``max_sessions`` sessions; to open one more, that idle for longest is dropped."""
+    """At most `max_sessions` sessions; to open one more, that idle for longest is dropped."""
 
     def __init__(self, factories: Mapping[str, Callable[[], IKSolver]], max_sessions: int) -> None:
         """Builds one solver of each name at once, so that one that cannot be built is no client's surprise."""
@@ -38,7 +38,7 @@ class SessionTable:
         return len(self._sessions)
 
     def open(self, token: bytes, solver_name: str) -> Session:
-        """The session ``token`` if it exists and is one of that solver, else a new one.
+        """The session `token` if it exists and is one of that solver, else a new one.
 
         Raises:
             BadRequestError: If no solver has that name.
@@ -66,7 +66,7 @@ class SessionTable:
         return self._sessions.get(session.token) is session
 
     def get(self, token: bytes) -> Session:
-        """The session ``token``, which then is the one used last.
+        """The session `token`, which then is the one used last.
 
         Raises:
             UnknownSessionError: If there is none; the message says why that may be.

@@ -1,8 +1,8 @@
-"""Inverse-kinematics solvers behind one interface: ``make_solver(name, arm, **options)``.
+"""Inverse-kinematics solvers behind one interface: `make_solver(name, arm, **options)`.
 
-A new solver is a module here that subclasses ``IKSolver`` and registers itself, and a line in `base.MODULES`. A
+A new solver is a module here that subclasses `IKSolver` and registers itself, and a line in `base.MODULES`. A
 solver's module is imported when it is asked for, and peers that live in packages of their own when they are made:
-``available_solvers()`` says which are here.
+`available_solvers()` says which are here.
 """
 
 from lerobot_mimicik.solvers.availability import SolverUnavailable

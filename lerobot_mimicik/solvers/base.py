@@ -1,8 +1,8 @@
 """The interface of an inverse-kinematics solver, and the registry of those known by name.
 
-A solver answers one question per control step: the arm is at ``q_curr``, its tool should be at
-``target_pose``, which joints shall be commanded? It sees no future and no recording. Arrays are numpy
-float64; joints are in rad in the order of the arm's ``joint_names``; a pose is ``T_base_tool`` as
+A solver answers one question per control step: the arm is at `q_curr`, its tool should be at
+`target_pose`, which joints shall be commanded? It sees no future and no recording. Arrays are numpy
+float64; joints are in rad in the order of the arm's `joint_names`; a pose is `T_base_tool` as
 x y z (m) qx qy qz qw.
 """
 
@@ -32,7 +32,7 @@ class IKSolver(ABC):
 
     Attributes:
         name: How tables call the solver.
-        batched: Whether ``reset``, ``solve`` and ``select`` take a leading batch axis, one row per arm that
+        batched: Whether `reset`, `solve` and `select` take a leading batch axis, one row per arm that
             is driven independently of the others. Without it they take single configurations only.
         look_ahead: How many targets after the present one it makes use of, where they are known (`foresee`).
         configuration: How it is configured and after what, with the source: what tables say beside its row.
@@ -53,22 +53,22 @@ class IKSolver(ABC):
 
     @abstractmethod
     def reset(self, q: Array) -> None:
-        """Forget all history; the arm is at rest at ``q`` (dof,), or (B, dof) where ``batched``, in rad."""
+        """Forget all history; the arm is at rest at `q` (dof,), or (B, dof) where `batched`, in rad."""
 
     @abstractmethod
     def solve(self, q_curr: Array, target_pose: Array) -> Array:
         """The joint command for this control step.
 
         Args:
-            q_curr: Measured joints, (dof,), or (B, dof) where ``batched``, in rad.
-            target_pose: ``T_base_tool`` to reach, (7,) or (B, 7).
+            q_curr: Measured joints, (dof,), or (B, dof) where `batched`, in rad.
+            target_pose: `T_base_tool` to reach, (7,) or (B, 7).
 
         Returns:
-            Commanded joints, shaped as ``q_curr``, absolute, in rad.
+            Commanded joints, shaped as `q_curr`, absolute, in rad.
         """
 
     def foresee(self, upcoming: Array) -> None:  # noqa: B027 - most solvers have no use for it
-        """Targets (T, 7) of the frames after the one that ``solve`` is asked for next; holds for that question only."""
+        """Targets (T, 7) of the frames after the one that `solve` is asked for next; holds for that question only."""
 
     def select(self, rows: NDArray[np.intp]) -> None:  # noqa: B027 - most solvers have nothing to do here
         """Go on with these rows of the batch only, in this order. Stateless solvers need not care."""
@@ -82,26 +82,26 @@ class IKSolver(ABC):
 
         Returns:
             (T, dof) commands in rad. A solver that can answer many frames at once overrides
-            ``recorded_in_pieces``.
+            `recorded_in_pieces`.
         """
         return np.concatenate(list(self.recorded_in_pieces(q_curr, target_pose, repeat(len(q_curr)))))
 
     def solve_in_pieces(self, q_curr: Array, target_pose: Array, rows: Iterable[int]) -> Iterator[Array]:
-        """What ``solve`` answers, computed piece by piece, so that others can be served in between.
+        """What `solve` answers, computed piece by piece, so that others can be served in between.
 
         Args:
-            q_curr: As in ``solve``.
-            target_pose: As in ``solve``.
+            q_curr: As in `solve`.
+            target_pose: As in `solve`.
             rows: Most rows of a batch in each piece, one number after the other, without end. A solver whose batches
                 are answered quickly need not care.
 
         Yields:
-            The rows in their order, (n, dof); (dof,) where ``q_curr`` has one axis.
+            The rows in their order, (n, dof); (dof,) where `q_curr` has one axis.
         """
         yield self.solve(q_curr, target_pose)
 
     def recorded_in_pieces(self, q_curr: Array, target_pose: Array, rows: Iterable[int]) -> Iterator[Array]:
-        """What ``solve_recorded`` answers, in pieces of (n, dof) with n at most the next of ``rows``."""
+        """What `solve_recorded` answers, in pieces of (n, dof) with n at most the next of `rows`."""
         self.reset(q_curr[:1] if self.batched else q_curr[0])
         for t in range(len(q_curr)):
             row = slice(t, t + 1) if self.batched else t
@@ -172,7 +172,7 @@ _NEEDS: dict[str, tuple[Package, ...]] = {}
 
 
 def register_solver(name: str, needs: tuple[Package, ...] = ()) -> Callable[[SolverFactory], SolverFactory]:
-    """Make ``make_solver(name, arm, **options)`` call the decorated class or function.
+    """Make `make_solver(name, arm, **options)` call the decorated class or function.
 
     Args:
         name: What users and tables call it; a class gets it as its attribute `name`.
@@ -196,7 +196,7 @@ def register_solver(name: str, needs: tuple[Package, ...] = ()) -> Callable[[Sol
 
 
 def known_solvers() -> tuple[str, ...]:
-    """Names that ``make_solver`` takes, sorted."""
+    """Names that `make_solver` takes, sorted."""
     return tuple(sorted({*MODULES, *_FACTORIES}))
 
 
@@ -231,7 +231,7 @@ def make_solver(name: str, arm: SerialArm, **options: Any) -> IKSolver:
     """Build a solver by name for an arm.
 
     Args:
-        name: One of ``known_solvers()``.
+        name: One of `known_solvers()`.
         arm: The arm that it shall solve for.
         options: Keyword arguments of that solver.
 

@@ -44,9 +44,9 @@ class FrameTaskSolver(IterativeSolver):
             posture_cost: Of the posture task, per rad (m) of each joint; 0 leaves it out.
             lm_damping: The frame task's damping per squared error.
             damping: Of all joints, always.
-            qp_solver: A name that ``qpsolvers`` knows.
+            qp_solver: A name that `qpsolvers` knows.
             tolerance: Norm of the pose error (m and rad, together) at which to stop; the posture keeps it from vanishing.
-            iteration: See ``IterativeSolver``.
+            iteration: See `IterativeSolver`.
         """
         super().__init__(arm, tolerance=tolerance, **iteration)
         self.costs = {

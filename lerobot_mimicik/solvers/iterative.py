@@ -1,6 +1,6 @@
 """What the numerical solvers share: the box of joints within reach of one control step, and iterating in it.
 
-The box is the joint limits, cut to ``max_step`` around the measured joints. A solver that searches in it
+The box is the joint limits, cut to `max_step` around the measured joints. A solver that searches in it
 finds the best command that it may send, which is more than cutting a command found without it.
 """
 
@@ -15,7 +15,7 @@ from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers.base import Array, IKSolver
 
 MAX_STEP = 0.1
-"""Default of ``max_step``, rad (m): the step from which evaluation counts a joint spike."""
+"""Default of `max_step`, rad (m): the step from which evaluation counts a joint spike."""
 
 
 def joint_limits(arm: SerialArm) -> tuple[Array, Array]:
@@ -41,7 +41,7 @@ def posture_of(arm: SerialArm) -> Array:
 class IterativeSolver(IKSolver):
     """Starts from the measured joints and improves them in the box until the error is small enough.
 
-    Subclasses say how: ``_start``, ``_error``, ``_improve`` and ``_joints``. Nothing is kept from one query
+    Subclasses say how: `_start`, `_error`, `_improve` and `_joints`. Nothing is kept from one query
     to the next.
     """
 

@@ -25,7 +25,7 @@ class MimicIKSolver(IKSolver):
     """Asks a learned policy of any kind, and keeps the few frames of history that it looks at.
 
     The history lives here rather than in the policy so that rows of a batch may end at different times
-    (``select``). Before the first step the history is the first frame repeated, as in training.
+    (`select`). Before the first step the history is the first frame repeated, as in training.
     """
 
     batched = True
@@ -45,11 +45,11 @@ class MimicIKSolver(IKSolver):
             policy: A loaded policy, or a folder or Hub repository to load it from.
             name: How tables call it; None is the checkpoint's kind.
             device: Where the policy runs; None leaves a loaded policy where it is.
-            chunk: Most queries answered in one forward pass by ``solve_recorded``.
+            chunk: Most queries answered in one forward pass by `solve_recorded`.
             engine: What computes single queries: one of `ENGINES`, or "auto", the fastest that agrees.
 
         Raises:
-            ValueError: If the policy drives another number of joints than ``arm`` has, or there is no such engine.
+            ValueError: If the policy drives another number of joints than `arm` has, or there is no such engine.
         """
         self.policy: LearnedIKPolicy = load_policy(policy, device) if isinstance(policy, str) else policy
         if device is not None:
@@ -88,7 +88,7 @@ class MimicIKSolver(IKSolver):
         return self.__dict__ | {"_single": None}
 
     def reset(self, q: Array) -> None:
-        """Forget the history; the next ``solve`` starts a new one."""
+        """Forget the history; the next `solve` starts a new one."""
         self._q = None
         self._target = None
 
@@ -104,7 +104,7 @@ class MimicIKSolver(IKSolver):
         return np.concatenate(list(self.solve_in_pieces(q_curr, target_pose, repeat(len(q_curr)))))
 
     def solve_in_pieces(self, q_curr: Array, target_pose: Array, rows: Iterable[int]) -> Iterator[Array]:
-        """The policy's commands, a forward pass for every piece of ``rows``."""
+        """The policy's commands, a forward pass for every piece of `rows`."""
         if q_curr.ndim == 1:
             yield self.solve(q_curr, target_pose)
             return
@@ -114,7 +114,7 @@ class MimicIKSolver(IKSolver):
             yield self._ask(q[piece], target[piece])
 
     def recorded_in_pieces(self, q_curr: Array, target_pose: Array, rows: Iterable[int]) -> Iterator[Array]:
-        """All frames of one recording, in forward passes of at most ``chunk`` and ``rows`` frames."""
+        """All frames of one recording, in forward passes of at most `chunk` and `rows` frames."""
         frames = np.maximum(np.arange(len(q_curr))[:, None] - np.arange(self.steps)[::-1], 0)
         for piece in _pieces(len(frames), (min(most, self.chunk) for most in rows)):
             yield self._ask(q_curr[frames[piece]], target_pose[frames[piece]])

@@ -42,7 +42,7 @@ class MinkSolver(FrameTaskSolver):
         """
         Args:
             arm: The arm to solve for.
-            options: See ``FrameTaskSolver``.
+            options: See `FrameTaskSolver`.
         """
         super().__init__(arm, **options)
         self._package = MINK.load()

@@ -1,6 +1,6 @@
 """placo: one quadratic program in C++, as LeRobot uses it, and as its documentation would have it used.
 
-``placo_lerobot`` is LeRobot's own ``RobotKinematics`` called with its defaults: one QP per call, orientation
+`placo_lerobot` is LeRobot's own `RobotKinematics` called with its defaults: one QP per call, orientation
 weight 0.01 beside position weight 1, joint limits kept, no bound on the step. The QP is linearised where its
 robot was updated last, so that FK of the measured joints comes first, as in LeRobot's pipelines that observe the
 end effector. Joints go through degrees, as there. `placo_lerobot_8` calls it eight times, each from the last answer.
@@ -108,7 +108,7 @@ class PlacoSolver(IterativeSolver):
             position_weight, orientation_weight: Of the frame task.
             regularization: Weight on the squared displacement.
             posture_weight: Weight on the squared distance of each joint from home, or the middle of its range; 0: none.
-            iteration: See ``IterativeSolver``.
+            iteration: See `IterativeSolver`.
         """
         super().__init__(arm, **iteration)
         placo: Any = PLACO.load()

@@ -6,7 +6,7 @@ is an option and not the default: with 0.1 rad the arm is held for good once the
 than that (130 mm mean near singularities instead of 3). It knows arms
 with six or seven revolute joints; the AIRBOT Play has a spherical wrist and two parallel axes, for which
 the solution is closed and exact. Where no solution lies within the limits the arm is held, as ssik's own
-tracker does; a solution further away than ``max_step`` is approached along the straight line in joint space.
+tracker does; a solution further away than `max_step` is approached along the straight line in joint space.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class SsikSolver(IKSolver):
         """Nothing to forget."""
 
     def solve(self, q_curr: Array, target_pose: Array) -> Array:
-        """The command (dof,): towards the nearest solution, or ``q_curr`` where there is none."""
+        """The command (dof,): towards the nearest solution, or `q_curr` where there is none."""
         solutions = self._solver.solve(
             pose_matrix(target_pose),
             q_seed=q_curr[self._to_chain],

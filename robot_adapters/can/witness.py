@@ -224,12 +224,12 @@ class TorqueWitness:
         """Compare feedback with the commands so far: what is wrong with which joints.
 
         Args:
-            now: time [s].
-            q: angles [rad] (dof,).
-            dq: velocities [rad/s] (dof,).
-            torque: of the motors [Nm] (dof,).
-            fresh: which joints reported since the last call, in good order (dof,).
-            late: by how much each joint's frame may be late [s] (dof,).
+            now: Time [s].
+            q: Angles [rad] (dof,).
+            dq: Velocities [rad/s] (dof,).
+            torque: Of the motors [Nm] (dof,).
+            fresh: Which joints reported since the last call, in good order (dof,).
+            late: By how much each joint's frame may be late [s] (dof,).
         """
         elapsed = 0.0 if self._now is None else now - self._now
         self._now = now

@@ -113,10 +113,10 @@ def run(config: DeployConfig, progress: bool = True) -> tuple[dict[str, Any], di
     """Deploy and write the reports; the content of deployment.json, and the report's row.
 
     Raises:
-        ValueError: an option does not fit.
-        FileExistsError: a report, or a recording for rerun, is there that this project did not write.
-        FileNotFoundError: the checkpoint or the dataset does not exist.
-        ConnectionError: the arm does not answer.
+        ValueError: An option does not fit.
+        FileExistsError: A report, or a recording for rerun, is there that this project did not write.
+        FileNotFoundError: The checkpoint or the dataset does not exist.
+        ConnectionError: The arm does not answer.
     """
     from lerobot_mimicik.checkpoints import check_device, find_checkpoint
     from lerobot_mimicik.inputs import check_dataset

@@ -150,8 +150,8 @@ class AirbotPlay(Robot):
         """Move towards joint positions; returns the target in force, after the safety limits.
 
         Raises:
-            KeyError: a joint is missing.
-            ArmStoppedError: the arm has stopped.
+            KeyError: A joint is missing.
+            ArmStoppedError: The arm has stopped.
         """
         self._let_time_pass()
         self.check(action)
@@ -242,7 +242,7 @@ class AirbotPlayEE(AirbotPlay):
         """Load the checkpoint, then connect as in joint space.
 
         Raises:
-            ValueError: a checkpoint for another arm.
+            ValueError: A checkpoint for another arm.
         """
         mine, theirs = tuple(key.removesuffix(".pos") for key in self.joint_keys), self.adapter.joint_names
         if mine != theirs:
@@ -268,7 +268,7 @@ class AirbotPlayEE(AirbotPlay):
         LeRobot's commands hand a robot one action at a time and say nothing of the next; a loop of one's own may know.
 
         Raises:
-            KeyError: a number is missing.
+            KeyError: A number is missing.
         """
         self.face.foresee(actions)
 
@@ -277,8 +277,8 @@ class AirbotPlayEE(AirbotPlay):
         """Move towards a pose; returns the pose of the joint target in force.
 
         Raises:
-            KeyError: a number is missing.
-            ArmStoppedError: the arm has stopped.
+            KeyError: A number is missing.
+            ArmStoppedError: The arm has stopped.
         """
         self._let_time_pass()
         state = self.arm.read()

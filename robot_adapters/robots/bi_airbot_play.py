@@ -106,8 +106,8 @@ class BiAirbotPlay(BimanualMixin, Robot):
         """Move both arms; returns the targets in force.
 
         Raises:
-            KeyError: a number of either arm is missing; then neither moves.
-            ArmStoppedError: an arm has stopped.
+            KeyError: A number of either arm is missing; then neither moves.
+            ArmStoppedError: An arm has stopped.
         """
         own = {
             side: {

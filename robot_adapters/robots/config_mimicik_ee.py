@@ -74,7 +74,7 @@ def parse_joint_robot(options: Sequence[str], prog: str) -> RobotConfig:
     """The robot in joint space that options such as `--robot.type=so101_follower --robot.port=...` describe.
 
     Raises:
-        draccus.utils.DraccusException: a value that is none; SystemExit for an option that does not exist.
+        draccus.utils.DraccusException: A value that is none; SystemExit for an option that does not exist.
     """
     robot: Any = draccus.parse(_Inside, args=list(options), prog=prog).robot
     return robot

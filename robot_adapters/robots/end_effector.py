@@ -51,7 +51,7 @@ class PoseKeys:
         """Format and numbers of the pose, and the gripper, in any accepted spelling and format.
 
         Raises:
-            KeyError: a number is missing; the message lists what the action has.
+            KeyError: A number is missing; the message lists what the action has.
         """
         form, numbers = self._pose(action)
         if self.gripper is None:
@@ -90,10 +90,10 @@ class EndEffectorFace:
     """One arm's poses to joints and back.
 
     Attributes:
-        keys: names of its numbers.
-        result: what became of the last pose; None before.
-        delta_step: what a keyboard's or gamepad's 1 moves the target by in a frame [m].
-        gripper_range: the gripper's positions when closed and when open, in the robot's unit.
+        keys: Names of its numbers.
+        result: What became of the last pose; None before.
+        delta_step: What a keyboard's or gamepad's 1 moves the target by in a frame [m].
+        gripper_range: The gripper's positions when closed and when open, in the robot's unit.
     """
 
     def __init__(
@@ -156,13 +156,13 @@ class EndEffectorFace:
         A gripper that the action does not speak of stays as it was commanded, or first measured.
 
         Args:
-            action: a pose in one of the accepted spellings, or a keyboard's `delta_x`, `delta_y`, `delta_z`.
-            measured: joints [rad] (dof,).
-            gripper: as measured, in the robot's unit; None without one.
+            action: A pose in one of the accepted spellings, or a keyboard's `delta_x`, `delta_y`, `delta_z`.
+            measured: Joints [rad] (dof,).
+            gripper: As measured, in the robot's unit; None without one.
 
         Raises:
-            KeyError: a number is missing.
-            ValueError: the measured joints are far outside their limits.
+            KeyError: A number is missing.
+            ValueError: The measured joints are far outside their limits.
         """
         following, self._upcoming = self._upcoming, []
         now = self.adapter.forward(measured)

@@ -30,12 +30,12 @@ class InnerArm:
     """Joints [rad] of one arm from a robot's observation and into its action.
 
     Attributes:
-        part: the robot, or the one of its two arms that this is.
-        prefix: of the arm's keys, `left_`, `right_` or nothing.
-        description: the arm, with the joints in the order of all q.
-        joint_keys: the robot's keys of these joints, in this order.
-        gripper_key: the robot's key of the gripper; None without one.
-        offsets: what is added to the robot's joints to have the URDF's [rad] (dof,).
+        part: The robot, or the one of its two arms that this is.
+        prefix: Of the arm's keys, `left_`, `right_` or nothing.
+        description: The arm, with the joints in the order of all q.
+        joint_keys: The robot's keys of these joints, in this order.
+        gripper_key: The robot's key of the gripper; None without one.
+        offsets: What is added to the robot's joints to have the URDF's [rad] (dof,).
     """
 
     def __init__(
@@ -49,14 +49,14 @@ class InnerArm:
         """Finds out what is left open.
 
         Args:
-            robot: the whole robot.
-            prefix: of the arm's keys.
-            arm: a shipped arm or a URDF; empty: known by the robot.
-            joints: the robot's joints, without `.pos`, in the URDF's order; empty: found by their names.
-            unit: of the robot's joints; `auto`: known by the robot.
+            robot: The whole robot.
+            prefix: Of the arm's keys.
+            arm: A shipped arm or a URDF; empty: known by the robot.
+            joints: The robot's joints, without `.pos`, in the URDF's order; empty: found by their names.
+            unit: Of the robot's joints; `auto`: known by the robot.
 
         Raises:
-            ValueError: what is not known; the message names the option that says it.
+            ValueError: What is not known; the message names the option that says it.
         """
         self.part: Any = getattr(robot, f"{prefix}arm", robot) if prefix else robot
         self.prefix = prefix
@@ -85,7 +85,7 @@ class InnerArm:
         """Units of the joints; those of a normalised robot are known once it is calibrated.
 
         Raises:
-            ValueError: the robot does not say.
+            ValueError: The robot does not say.
         """
         if self._units is None:
             self._units = _units(self.part, self._names, self._unit, self.robot_type)
@@ -115,7 +115,7 @@ def sides_of(robot: Robot) -> tuple[str, ...]:
     """Prefixes of the robot's arms: one empty, or those of both sides.
 
     Raises:
-        ValueError: the robot takes no joint positions.
+        ValueError: The robot takes no joint positions.
     """
     positions = [key for key in robot.action_features if key.endswith(".pos") and not key.startswith("ee.")]
     if not positions:

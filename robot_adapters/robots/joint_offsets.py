@@ -26,7 +26,7 @@ def read_offsets(path: Path, joint_names: Sequence[str]) -> Array:
     """Offsets [rad] (dof,) in the order of the joints; zeros where there is no file.
 
     Raises:
-        ValueError: the file is damaged, or of other joints.
+        ValueError: The file is damaged, or of other joints.
     """
     if not path.is_file():
         return np.zeros(len(joint_names))

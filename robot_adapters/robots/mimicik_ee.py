@@ -26,8 +26,8 @@ class MimicIKEE(Robot):
     """Poses out and in; joints, units, gripper, cameras and calibration are those of the robot inside.
 
     Attributes:
-        arm: the robot inside.
-        sides: its one or two arms by the prefix of their keys, each with its face.
+        arm: The robot inside.
+        sides: Its one or two arms by the prefix of their keys, each with its face.
     """
 
     config_class = MimicIKEEConfig
@@ -111,7 +111,7 @@ class MimicIKEE(Robot):
         """Load the inverse kinematics, then connect the robot inside.
 
         Raises:
-            ValueError: a checkpoint for another arm, or units that nobody says.
+            ValueError: A checkpoint for another arm, or units that nobody says.
         """
         for inner, face in self.sides.values():
             mine, theirs = inner.description.joint_names, face.adapter.joint_names
@@ -146,8 +146,8 @@ class MimicIKEE(Robot):
         """Move towards poses; returns the poses of the joints that the robot inside took.
 
         Raises:
-            KeyError: a number is missing; then no arm moves.
-            ValueError: the measured joints are far outside their limits: another unit, another arm.
+            KeyError: A number is missing; then no arm moves.
+            ValueError: The measured joints are far outside their limits: another unit, another arm.
         """
         others = self._others_ft(self.arm.action_features)
         missing = [key for key in others if key not in action]

@@ -33,8 +33,8 @@ class MimicIKSim(Robot):
     """One simulated arm; its time passes in `get_observation` and `send_action`.
 
     Attributes:
-        description: the arm, with the joints in the order of all q.
-        servos: the arm behind the features, between `connect` and `disconnect`.
+        description: The arm, with the joints in the order of all q.
+        servos: The arm behind the features, between `connect` and `disconnect`.
     """
 
     config_class = MimicIKSimConfig
@@ -144,8 +144,8 @@ class MimicIKSim(Robot):
         """Move towards joint positions; returns what was sent, within the joints' limits.
 
         Raises:
-            KeyError: a joint is missing.
-            ValueError: a number is not finite.
+            KeyError: A joint is missing.
+            ValueError: A number is not finite.
         """
         assert self.servos is not None
         action = own_keys(action, self._motors_ft)

@@ -41,7 +41,7 @@ class RecordedMotion(Teleoperator):
         """Keys, values (T, d) and frames per second.
 
         Raises:
-            ValueError: no column or episode of that name; the message lists those that exist.
+            ValueError: No column or episode of that name; the message lists those that exist.
         """
         from lerobot.datasets import LeRobotDataset
 

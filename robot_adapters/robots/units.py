@@ -17,7 +17,7 @@ class JointUnits:
         """`lower` and `upper` [rad] (dof,) are what -100 and 100 stand for, of `normalised` alone, in either order.
 
         Raises:
-            ValueError: no such unit, or `normalised` without ranges.
+            ValueError: No such unit, or `normalised` without ranges.
         """
         self.unit = check_unit(unit)
         self._scale: Array = np.array(np.pi / 180 if unit == "deg" else 1.0)

@@ -53,8 +53,8 @@ class SimulatedOpenArm:
         """Hangs straight down, or rests at `q` [rad] (7,), with motors that give no torque; the bus stays the caller's.
 
         Raises:
-            ModuleNotFoundError: without MuJoCo.
-            ValueError: a side that is none.
+            ModuleNotFoundError: Without MuJoCo.
+            ValueError: A side that is none.
         """
         if side not in ("left", "right"):
             raise ValueError(f"side={side!r}: expected 'left' or 'right'")

@@ -58,8 +58,8 @@ class ServoArm:
         """Starts at `q` [rad] (dof,), by default the description's home, else the middle of the ranges.
 
         Raises:
-            ModuleNotFoundError: without MuJoCo.
-            ValueError: a start of another size.
+            ModuleNotFoundError: Without MuJoCo.
+            ValueError: A start of another size.
         """
         self.parameters = parameters or ServoParameters()
         self.lower, self.upper = _ranges(description)

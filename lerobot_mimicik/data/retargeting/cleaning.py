@@ -26,13 +26,13 @@ class CleaningOptions:
     """What counts as bad, and how the rest is resampled.
 
     Attributes:
-        fps: frames per second of the result.
-        max_speed: a faster step is a jump of the tracker [m/s].
-        max_turn_rate: likewise [rad/s].
-        max_gap: a longer hole in the stamps cuts the recording [s].
-        max_bad_share: with more bad rows than this the recording is not worth mending.
-        min_duration: shortest result [s].
-        bandwidth: standard deviation of the smoothing kernel [s]; about one frame takes out jitter and sensor
+        fps: Frames per second of the result.
+        max_speed: A faster step is a jump of the tracker [m/s].
+        max_turn_rate: Likewise [rad/s].
+        max_gap: A longer hole in the stamps cuts the recording [s].
+        max_bad_share: With more bad rows than this the recording is not worth mending.
+        min_duration: Shortest result [s].
+        bandwidth: Standard deviation of the smoothing kernel [s]; about one frame takes out jitter and sensor
             noise and leaves the motion.
     """
 
@@ -56,8 +56,8 @@ class CleanTrajectory:
 
     Attributes:
         pose: x y z qx qy qz qw, unit quaternions of continuous sign, shape (T, 7).
-        gripper: shape (T,) or None.
-        repairs: what was done to the recording, cause -> number of rows.
+        gripper: Shape (T,) or None.
+        repairs: What was done to the recording, cause -> number of rows.
     """
 
     pose: np.ndarray
@@ -69,7 +69,7 @@ def clean_recording(recording: Recording, options: CleaningOptions | None = None
     """The recording without its faults, on an even clock of `options.fps`.
 
     Raises:
-        UnusableRecording: too short, too many bad rows, or stamps that run backwards.
+        UnusableRecording: Too short, too many bad rows, or stamps that run backwards.
     """
     options = options or CleaningOptions()
     if len(recording) == 0:
@@ -106,13 +106,13 @@ def local_quadratic(t: np.ndarray, values: np.ndarray, grid: np.ndarray, bandwid
     Savitzky-Golay's filter for uneven stamps: unlike a moving average it leaves the height of peaks alone.
 
     Args:
-        t: increasing stamps, shape (n,), n >= 4.
-        values: shape (n, k).
-        grid: where to evaluate, shape (m,).
-        bandwidth: kernel standard deviation, widened where samples are too far apart to support a parabola.
+        t: Increasing stamps, shape (n,), n >= 4.
+        values: Shape (n, k).
+        grid: Where to evaluate, shape (m,).
+        bandwidth: Kernel standard deviation, widened where samples are too far apart to support a parabola.
 
     Returns:
-        shape (m, k).
+        Shape (m, k).
     """
     step = float(np.median(np.diff(t)))
     window = int(np.clip(2 * np.ceil(3 * bandwidth / step) + 1, min(7, len(t)), min(len(t), 401)))

@@ -42,17 +42,17 @@ class JobOptions:
     """How the work is done and what is written.
 
     Attributes:
-        workers: processes; 0 works in this one.
-        resume: continue an interrupted run of the same settings.
-        overwrite: replace a dataset that is already there.
-        test_share: share of the sessions that go to a dataset of their own; 0: one dataset.
-        lag_s: time constant with which the measured joints follow the command [s]; 0: they are there a frame
+        workers: Processes; 0 works in this one.
+        resume: Continue an interrupted run of the same settings.
+        overwrite: Replace a dataset that is already there.
+        test_share: Share of the sessions that go to a dataset of their own; 0: one dataset.
+        lag_s: Time constant with which the measured joints follow the command [s]; 0: they are there a frame
             later.
-        task: sentence for recordings that have none.
+        task: Sentence for recordings that have none.
         robot_type: LeRobot's free-form robot name.
-        progress: show a progress bar.
-        limit: use only the first so many recordings; 0: all.
-        space: of state and action, one of `writer.SPACES`.
+        progress: Show a progress bar.
+        limit: Use only the first so many recordings; 0: all.
+        space: Of state and action, one of `writer.SPACES`.
     """
 
     workers: int = 2
@@ -86,16 +86,16 @@ def retarget_dataset(
     """Retarget all recordings of a source to an arm and write them as LeRobot datasets.
 
     Args:
-        source: parquet, CSV, a folder of them, or a LeRobot dataset with poses; see `recordings`.
-        output: folder of the dataset; with a test share of its two splits "train" and "test".
-        description: the arm.
-        options: how recordings are made to fit.
-        columns: which columns mean what, where the names are unusual.
-        job: workers, resuming, splits, lag.
+        source: Parquet, CSV, a folder of them, or a LeRobot dataset with poses; see `recordings`.
+        output: Folder of the dataset; with a test share of its two splits "train" and "test".
+        description: The arm.
+        options: How recordings are made to fit.
+        columns: Which columns mean what, where the names are unusual.
+        job: Workers, resuming, splits, lag.
 
     Raises:
         FileExistsError: `output`, `output`.parts or `output`.writing holds something that may not be replaced.
-        ValueError: the source is also the output, columns that are not understood, a resumed run with other
+        ValueError: The source is also the output, columns that are not understood, a resumed run with other
             settings, recordings in other units than they were read in, or nothing left to write.
     """
     started = time.monotonic()

@@ -27,20 +27,20 @@ class PartStore:
     """A folder of finished parts of one piece of work.
 
     Attributes:
-        folder: where the parts are.
+        folder: Where the parts are.
     """
 
     def __init__(self, folder: Path, manifest: dict[str, Any], resume: bool) -> None:
         """Open the folder for work described by `manifest` (JSON-able).
 
         Args:
-            folder: created if it does not exist; emptied unless `resume`, if it holds parts and nothing else.
-            manifest: what the parts depend on: input, options, batch size.
-            resume: keep the parts that are there.
+            folder: Created if it does not exist; emptied unless `resume`, if it holds parts and nothing else.
+            manifest: What the parts depend on: input, options, batch size.
+            resume: Keep the parts that are there.
 
         Raises:
-            FileExistsError: the folder is not one of parts, or holds something else too.
-            ValueError: the parts that are there belong to other work; names what differs.
+            FileExistsError: The folder is not one of parts, or holds something else too.
+            ValueError: The parts that are there belong to other work; names what differs.
         """
         self.folder = folder
         manifest = json.loads(json.dumps(manifest))

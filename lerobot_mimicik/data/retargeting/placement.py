@@ -2,7 +2,7 @@
 
 A recording lives in its own frame and at human scale. A placement turns it about the vertical, scales it into
 the arm's workspace box and lays its middle somewhere in the room that is left; its rotations are applied,
-relative to their mean, to the tool orientation of the arm's home configuration, tilted a little::
+relative to their mean, to the tool orientation of the arm's home configuration, tilted a little:
 
     p(t) = centre + scale Rz(yaw) (p_rec(t) - middle)
     R(t) = Rz(yaw) exp(rotation_scale log(R_rec(t) R_mean^T)) Rz(yaw)^T  R_centre
@@ -36,14 +36,14 @@ class PlacementOptions:
     """Room and freedom of placements.
 
     Attributes:
-        workspace: extent of the box for the tool point along x, y, z [m]; empty: the paper's, scaled by
+        workspace: Extent of the box for the tool point along x, y, z [m]; empty: the paper's, scaled by
             reach.
-        centre: middle of that box in the base frame [m]; empty: before the home pose, as near as the box is
+        centre: Middle of that box in the base frame [m]; empty: before the home pose, as near as the box is
             reachable.
-        max_scale: largest factor on the recorded translation.
-        max_rotation: largest rotation away from a recording's mean orientation [rad]; larger ones are scaled
+        max_scale: Largest factor on the recorded translation.
+        max_rotation: Largest rotation away from a recording's mean orientation [rad]; larger ones are scaled
             down.
-        max_tilt: largest tilt of the mean tool orientation away from the home orientation [rad].
+        max_tilt: Largest tilt of the mean tool orientation away from the home orientation [rad].
     """
 
     workspace: tuple[float, ...] = ()
@@ -72,9 +72,9 @@ class Workspace:
     """The box that recordings are placed into.
 
     Attributes:
-        centre, size: of the box in the base frame [m], shape (3,).
-        home: joints from which solutions are sought [rad], shape (dof,).
-        quaternion_home: tool orientation there, xyzw, shape (4,).
+        centre, size: Of the box in the base frame [m], shape (3,).
+        home: Joints from which solutions are sought [rad], shape (dof,).
+        quaternion_home: Tool orientation there, xyzw, shape (4,).
     """
 
     centre: np.ndarray
@@ -88,8 +88,8 @@ class Motion:
     """A recorded motion of T frames, relative to its own mean orientation.
 
     Attributes:
-        position: as recorded [m], shape (T, 3).
-        rotation: rotation vector of R(t) R_mean^T in the recording's frame [rad], shape (T, 3).
+        position: As recorded [m], shape (T, 3).
+        rotation: Rotation vector of R(t) R_mean^T in the recording's frame [rad], shape (T, 3).
     """
 
     position: np.ndarray
@@ -108,8 +108,8 @@ class Placement:
 
     Attributes:
         turn: Rz(yaw), shape (3, 3).
-        scale, rotation_scale: factors on translation and rotation.
-        offset: centre - scale Rz(yaw) middle [m], shape (3,).
+        scale, rotation_scale: Factors on translation and rotation.
+        offset: Centre - scale Rz(yaw) middle [m], shape (3,).
         centre_quaternion: R_centre as xyzw, shape (4,).
     """
 
@@ -132,11 +132,11 @@ def propose(
     """A random placement that keeps the tool point of a motion inside the workspace box.
 
     Args:
-        motion: what is placed.
-        workspace: the box.
-        options: limits.
-        shrink: extra factor on translation and rotation, 1 at first and smaller after failures.
-        rng: source of yaw, place and tilt.
+        motion: What is placed.
+        workspace: The box.
+        options: Limits.
+        shrink: Extra factor on translation and rotation, 1 at first and smaller after failures.
+        rng: Source of yaw, place and tilt.
     """
     yaw = rng.uniform(-np.pi, np.pi)
     turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])

@@ -65,14 +65,14 @@ def find_pose_columns(
     """Where the poses are: in the columns asked for, else in those with usual names.
 
     Args:
-        table: the data.
-        position: columns asked for, or ().
-        rotation: columns asked for, or ().
-        where: the source, for messages.
+        table: The data.
+        position: Columns asked for, or ().
+        rotation: Columns asked for, or ().
+        where: The source, for messages.
         features: LeRobot features, whose component names are searched too.
 
     Raises:
-        ValueError: columns asked for do not exist, or nothing was found; lists the columns that exist.
+        ValueError: Columns asked for do not exist, or nothing was found; lists the columns that exist.
     """
     for name in (*position, *rotation):
         if name not in table.columns:

@@ -22,14 +22,14 @@ def check_recordings(
     """Refuse recordings in other units, or with quaternions in another order, than they were read in.
 
     Args:
-        recordings: positions in metres, quaternions xyzw.
-        description: the arm whose joints they may have.
-        max_speed: a faster step is a jump of the tracker [m/s]; most steps of a recording are none.
-        unit: unit in which positions were read, for the message.
-        where: the source, for the message.
+        recordings: Positions in metres, quaternions xyzw.
+        description: The arm whose joints they may have.
+        max_speed: A faster step is a jump of the tracker [m/s]; most steps of a recording are none.
+        unit: Unit in which positions were read, for the message.
+        where: The source, for the message.
 
     Raises:
-        ValueError: names what was found and the option that says otherwise.
+        ValueError: Names what was found and the option that says otherwise.
     """
     extents = [extent for extent in map(_extent, recordings) if np.isfinite(extent)]
     speeds = [speed for speed in map(_speed, recordings) if np.isfinite(speed)]

@@ -39,11 +39,11 @@ class SourceColumns(TableColumns):
     """Which columns of the source mean what; an empty field is guessed from the names usual in the field.
 
     Attributes:
-        position: three columns, or one column of 3-vectors.
-        position_unit: one of `POSITION_UNITS`.
-        rotation: four columns (quaternion) or three (rotation vector), or one column of such vectors.
+        position: Three columns, or one column of 3-vectors.
+        position_unit: One of `POSITION_UNITS`.
+        rotation: Four columns (quaternion) or three (rotation vector), or one column of such vectors.
         quaternion_order: "xyzw" or "wxyz".
-        gripper: gripper width or opening, passed through.
+        gripper: Gripper width or opening, passed through.
     """
 
     position: tuple[str, ...] = ()
@@ -67,14 +67,14 @@ class Recording:
     """One raw recording of T frames.
 
     Attributes:
-        name: unique within the source, such as "person=11/session=1/episode=104".
-        session: who recorded it and when.
-        t: stamps [s], shape (T,), as recorded (they may repeat or run backwards).
+        name: Unique within the source, such as "person=11/session=1/episode=104".
+        session: Who recorded it and when.
+        t: Stamps [s], shape (T,), as recorded (they may repeat or run backwards).
         pose: x y z qx qy qz qw in the recording's frame, shape (T, 7); quaternions as recorded, not
             normalised.
-        gripper: shape (T,) or None.
-        task: sentence, empty if the source has none.
-        joints: the arm's joints at the same moments as recorded, shape (T, dof), or None.
+        gripper: Shape (T,) or None.
+        task: Sentence, empty if the source has none.
+        joints: The arm's joints at the same moments as recorded, shape (T, dof), or None.
     """
 
     name: str
@@ -95,13 +95,13 @@ def load_recordings(
     """All recordings of a parquet or CSV file, a folder of such files, or a LeRobot v3 dataset, in order.
 
     Args:
-        source: where they are.
-        columns: what its columns mean.
-        joint_names: of an arm that may have been recorded too.
+        source: Where they are.
+        columns: What its columns mean.
+        joint_names: Of an arm that may have been recorded too.
 
     Raises:
-        FileNotFoundError: nothing at `source`.
-        ValueError: a format or columns that are not understood; the message lists the columns that exist.
+        FileNotFoundError: Nothing at `source`.
+        ValueError: A format or columns that are not understood; the message lists the columns that exist.
     """
     source, columns = Path(source), columns or SourceColumns()
     if (source / "meta" / "info.json").is_file():

@@ -21,8 +21,8 @@ class RetargetSummary:
     """What a run did.
 
     Attributes:
-        roots: folders of the datasets written, by split ("all", or "train" and "test").
-        report: the contents of meta/retarget_report.json.
+        roots: Folders of the datasets written, by split ("all", or "train" and "test").
+        report: The contents of meta/retarget_report.json.
     """
 
     roots: dict[str, Path] = field(default_factory=dict)
@@ -54,10 +54,10 @@ def retarget_report(
     """Figures of a run, JSON-able: how many recordings fared how and why, and how well joints fit poses.
 
     Args:
-        source: where the recordings came from; only its name is kept.
-        outcomes: of all recordings, at least one of them usable.
-        description: the arm.
-        options: how the recordings were made to fit.
+        source: Where the recordings came from; only its name is kept.
+        outcomes: Of all recordings, at least one of them usable.
+        description: The arm.
+        options: How the recordings were made to fit.
     """
     status = Counter(outcome.status for outcome in outcomes)
     usable = [outcome for outcome in outcomes if outcome.status != DROPPED]

@@ -1,6 +1,6 @@
 """Retargeting: recordings of a hand's motion become joint trajectories of an arm.
 
-For each recording: clean it, then try placements (see `placement`) until one can be followed::
+For each recording: clean it, then try placements (see `placement`) until one can be followed:
 
     propose several -> inverse kinematics of a few waypoints -> the first that is reachable and collision-free
       -> whole trajectory -> slow it where joints are too fast -> whole trajectory again -> check every frame
@@ -55,18 +55,18 @@ class RetargetOptions:
     """How recordings are made to fit an arm.
 
     Attributes:
-        cleaning: repair and resampling of the recording.
-        placement: room and freedom of placements.
-        max_step: a joint never moves further in one frame [rad]; the paper warns from 0.1 on.
-        step_margin: the motion is slowed to this share of `max_step`.
-        max_position_error, max_rotation_error: a frame further off its target spoils the trajectory [m],
+        cleaning: Repair and resampling of the recording.
+        placement: Room and freedom of placements.
+        max_step: A joint never moves further in one frame [rad]; the paper warns from 0.1 on.
+        step_margin: The motion is slowed to this share of `max_step`.
+        max_position_error, max_rotation_error: A frame further off its target spoils the trajectory [m],
             [rad].
-        clearance: distance kept from the arm itself and the floor [m].
-        floor: height of the floor in the base frame [m], None for none.
-        candidates: placements proposed at a time.
-        attempts: rounds of proposals; from the third on each is 15 % smaller.
-        smoothness: see `TrajectoryOptions`.
-        seed: source of all randomness.
+        clearance: Distance kept from the arm itself and the floor [m].
+        floor: Height of the floor in the base frame [m], None for none.
+        candidates: Placements proposed at a time.
+        attempts: Rounds of proposals; from the third on each is 15 % smaller.
+        smoothness: See `TrajectoryOptions`.
+        seed: Source of all randomness.
     """
 
     cleaning: CleaningOptions = field(default_factory=CleaningOptions)
@@ -99,13 +99,13 @@ class Outcome:
     """What became of one recording.
 
     Attributes:
-        name, session, task: of the recording.
+        name, session, task: Of the recording.
         status: KEPT (its motion at its own size and speed), CHANGED or DROPPED.
-        reason: why it was dropped, else empty.
-        changes: what was changed, cause -> amount (a factor, or a number of rows).
-        q: joint command of every frame [rad], shape (T, dof); empty if dropped.
-        target: pose asked for at every frame, T_base_tool (T, 7).
-        gripper: shape (T,) or None.
+        reason: Why it was dropped, else empty.
+        changes: What was changed, cause -> amount (a factor, or a number of rows).
+        q: Joint command of every frame [rad], shape (T, dof); empty if dropped.
+        target: Pose asked for at every frame, T_base_tool (T, 7).
+        gripper: Shape (T,) or None.
     """
 
     name: str
@@ -143,7 +143,7 @@ class Retargeter:
         """Find the arm's workspace and lay its collision spheres.
 
         Raises:
-            ValueError: the workspace asked for cannot be reached.
+            ValueError: The workspace asked for cannot be reached.
         """
         self.description = description
         self.options = options or RetargetOptions()
@@ -154,8 +154,8 @@ class Retargeter:
         """Outcomes of a batch of recordings, in order.
 
         Args:
-            recordings: the batch.
-            first_index: index of its first recording in the whole source: it seeds the placements.
+            recordings: The batch.
+            first_index: Index of its first recording in the whole source: it seeds the placements.
         """
         outcomes: dict[int, Outcome] = {}
         jobs: dict[int, _Job] = {}

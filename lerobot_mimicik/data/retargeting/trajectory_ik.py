@@ -2,7 +2,7 @@
 
 A frame-by-frame solver follows the pose wherever it leads and jumps where the arm loses a direction. Here the
 joints of a whole trajectory are found together, so that a frame near a singularity is settled by the
-frames before and after it::
+frames before and after it:
 
     minimise over q_0 .. q_{T-1}   sum_t |W (log(T_target,t T(q_t)^-1))|^2
                                  + smoothness * sum_t |q_{t-1} - 2 q_t + q_{t+1}|^2
@@ -59,17 +59,17 @@ def solve_trajectories(
     """Joint trajectories whose tool follows the target poses, for N trajectories of any lengths.
 
     Args:
-        arm: the arm; of a `SerialArm` only the description is used.
+        arm: The arm; of a `SerialArm` only the description is used.
         targets: N arrays of poses T_base_tool, shapes (T_i, 7).
-        q_start: joints near the first frames [rad], shape (N, dof); they choose the solution branch.
-        options: weights and limits.
+        q_start: Joints near the first frames [rad], shape (N, dof); they choose the solution branch.
+        options: Weights and limits.
         warm_start: N arrays (T_i, dof) to start from in place of the frame-by-frame pass.
 
     Returns:
         N solutions, in order. Nothing is raised for an unreachable pose: its error says so.
 
     Raises:
-        ValueError: shapes that do not fit together, empty or non-finite targets.
+        ValueError: Shapes that do not fit together, empty or non-finite targets.
     """
     options = options or TrajectoryOptions()
     chain = array_chain(_description(arm))

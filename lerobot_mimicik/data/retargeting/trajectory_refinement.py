@@ -22,15 +22,15 @@ class TrajectoryOptions:
     """Weights and limits of the solver.
 
     Attributes:
-        position_scale: position error that costs 1 [m].
-        rotation_scale: rotation error that costs 1 [rad].
-        smoothness: cost of a squared second difference of 1 rad per frame^2. 1e3 leaves a few micrometres in
+        position_scale: Position error that costs 1 [m].
+        rotation_scale: Rotation error that costs 1 [rad].
+        smoothness: Cost of a squared second difference of 1 rad per frame^2. 1e3 leaves a few micrometres in
             the open and lets the tracking give way only where the arm is singular; 1e6 relaxes visibly there.
-        limit_margin: distance kept from the joint limits [rad].
-        approach_iterations: damped steps from `q_start` to the first frame.
-        frame_iterations: damped steps per frame of the starting pass.
-        iterations: at most so many Levenberg-Marquardt steps on whole trajectories.
-        max_step: largest joint change of one damped step [rad].
+        limit_margin: Distance kept from the joint limits [rad].
+        approach_iterations: Damped steps from `q_start` to the first frame.
+        frame_iterations: Damped steps per frame of the starting pass.
+        iterations: At most so many Levenberg-Marquardt steps on whole trajectories.
+        max_step: Largest joint change of one damped step [rad].
     """
 
     position_scale: float = 0.5e-3
@@ -48,9 +48,9 @@ class TrajectorySolution:
     """Joints of one trajectory and what is left of the pose error.
 
     Attributes:
-        q: joints [rad], shape (T, dof).
-        position_error: distance of FK(q) to the target [m], shape (T,).
-        rotation_error: angle between FK(q) and the target [rad], shape (T,).
+        q: Joints [rad], shape (T, dof).
+        position_error: Distance of FK(q) to the target [m], shape (T,).
+        rotation_error: Angle between FK(q) and the target [rad], shape (T,).
     """
 
     q: np.ndarray

@@ -26,9 +26,9 @@ class Places:
     """Places an operator works at.
 
     Attributes:
-        hand: tool poses as in `hand_motion`, about the orientation `reference`, (n, 6).
-        joints: a configuration for each [rad], (n, dof).
-        reference: the session's preferred tool orientation in the base frame.
+        hand: Tool poses as in `hand_motion`, about the orientation `reference`, (n, 6).
+        joints: A configuration for each [rad], (n, dof).
+        reference: The session's preferred tool orientation in the base frame.
     """
 
     hand: Array
@@ -49,13 +49,13 @@ class Scene:
     """One arm in its workspace. Cheap to rebuild from its fields in another process.
 
     Attributes:
-        description: the arm.
-        gauge_scale: scales of the singularity gauge by kind.
-        reach_m: how far the tool gets from the middle of all it can reach [m].
-        singular: singular configurations by kind, (n, dof); kinds that the arm does not have are absent. An arm with none
+        description: The arm.
+        gauge_scale: Scales of the singularity gauge by kind.
+        reach_m: How far the tool gets from the middle of all it can reach [m].
+        singular: Singular configurations by kind, (n, dof); kinds that the arm does not have are absent. An arm with none
             (joints to spare, narrow limits) has its worst conditioned ones instead, as `ILL_CONDITIONED`.
-        arm, gauge: its kinematics and its singularity gauge.
-        workspace: extent of the box in which operators work, about the home pose [m], (3,).
+        arm, gauge: Its kinematics and its singularity gauge.
+        workspace: Extent of the box in which operators work, about the home pose [m], (3,).
         home_pose: T_base_tool of the home configuration, (4, 4).
     """
 

@@ -42,23 +42,23 @@ class SyntheticConfig:
     """How synthetic teleoperation is recorded.
 
     Attributes:
-        fps: frames per second.
-        episode_s: mean length of an episode [s].
-        episodes_per_session: how many episodes an operator records in one go.
-        recovery_share: share of episodes that show how to leave a singularity (the paper: some 400 of 6,427).
-        ood_episodes, ood_s: number and length [s] of the near-singular test trajectories.
-        max_step: bound on the change of a joint command from frame to frame [rad]; with a lag of up to 0.07 s
+        fps: Frames per second.
+        episode_s: Mean length of an episode [s].
+        episodes_per_session: How many episodes an operator records in one go.
+        recovery_share: Share of episodes that show how to leave a singularity (the paper: some 400 of 6,427).
+        ood_episodes, ood_s: Number and length [s] of the near-singular test trajectories.
+        max_step: Bound on the change of a joint command from frame to frame [rad]; with a lag of up to 0.07 s
             (at 20 fps) also on the distance from measured to commanded joints.
-        lag_s: time constant of the follower arm behind its command [s]. At 0.04 s and 20 fps the distance
+        lag_s: Time constant of the follower arm behind its command [s]. At 0.04 s and 20 fps the distance
             from measured to commanded joints is about 1.4 frames of motion.
-        quantum: step of the joint encoders, for state and action [rad].
-        sensor_noise, repeatability: standard deviations of white and of slow joint noise in the state [rad].
-        label_offset_m, label_offset_rad: standard deviation per axis of a session's constant error of both
+        quantum: Step of the joint encoders, for state and action [rad].
+        sensor_noise, repeatability: Standard deviations of white and of slow joint noise in the state [rad].
+        label_offset_m, label_offset_rad: Standard deviation per axis of a session's constant error of both
             pose labels, as left by a calibration.
-        label_noise_m, label_noise_rad: the same of each frame.
-        stray_m: how far the hand's target may leave the commanded pose near a singularity in recovery
+        label_noise_m, label_noise_rad: The same of each frame.
+        stray_m: How far the hand's target may leave the commanded pose near a singularity in recovery
             episodes and near-singular trajectories [m].
-        tremor: factor on the trembling of hands.
+        tremor: Factor on the trembling of hands.
     """
 
     fps: int = 20
@@ -105,10 +105,10 @@ class SessionPlan:
     """What one session shall hold.
 
     Attributes:
-        name: session label.
-        seed: entropy of its random numbers; nothing else decides them.
-        regular: number of everyday episodes.
-        recovery: kinds of singularity, one for each recovery episode.
+        name: Session label.
+        seed: Entropy of its random numbers; nothing else decides them.
+        regular: Number of everyday episodes.
+        recovery: Kinds of singularity, one for each recovery episode.
     """
 
     name: str

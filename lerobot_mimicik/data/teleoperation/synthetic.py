@@ -35,10 +35,10 @@ class SyntheticSummary:
     """What `make_synthetic` wrote.
 
     Attributes:
-        roots: folder of each split ("train", "test", "ood").
-        episodes, frames, sessions: counts by split.
-        recovery: recovery episodes over all splits.
-        kinds: the kinds of singularity that the arm has and the data visit.
+        roots: Folder of each split ("train", "test", "ood").
+        episodes, frames, sessions: Counts by split.
+        recovery: Recovery episodes over all splits.
+        kinds: The kinds of singularity that the arm has and the data visit.
     """
 
     roots: dict[str, Path]
@@ -77,21 +77,21 @@ def make_synthetic(
     The same seed gives the same datasets, whatever the number of workers.
 
     Args:
-        output: folder for the datasets.
-        episodes: number of episodes of train and test together.
-        description: the arm; its `home` is the posture about which operators work.
-        seed: of everything random, not negative.
-        workers: number of processes.
-        test_share: share of the sessions that go to the test split; 0 writes none.
-        ood: whether to write the near-singular trajectories.
-        config: how the motion is recorded.
-        progress: whether to show a bar.
-        overwrite: replace datasets that are already there.
-        space: of state and action, one of `writer.SPACES`.
+        output: Folder for the datasets.
+        episodes: Number of episodes of train and test together.
+        description: The arm; its `home` is the posture about which operators work.
+        seed: Of everything random, not negative.
+        workers: Number of processes.
+        test_share: Share of the sessions that go to the test split; 0 writes none.
+        ood: Whether to write the near-singular trajectories.
+        config: How the motion is recorded.
+        progress: Whether to show a bar.
+        overwrite: Replace datasets that are already there.
+        space: Of state and action, one of `writer.SPACES`.
 
     Raises:
-        ValueError: counts or shares out of range, or an arm without a home configuration.
-        FileExistsError: a folder is already there, or is none that may be replaced.
+        ValueError: Counts or shares out of range, or an arm without a home configuration.
+        FileExistsError: A folder is already there, or is none that may be replaced.
     """
     config = config or SyntheticConfig()
     if workers < 1:
@@ -150,7 +150,7 @@ def plan_sessions(
     Both splits get at least one session, and recovery episodes in proportion, each kind in turn.
 
     Raises:
-        ValueError: too few episodes for the splits, or a share outside 0..1.
+        ValueError: Too few episodes for the splits, or a share outside 0..1.
     """
     if not 0 <= test_share < 1:
         raise ValueError(f"test_share must be at least 0 and below 1, got {test_share}")
