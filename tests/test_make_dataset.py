@@ -42,7 +42,7 @@ def test_recordings_become_a_dataset(tmp_path, source, capsys):
             ["--source=stress", "--output=x", "--stress.kinds=fire"],
             "unknown stress set 'fire'; known are tremor-0mm",
         ),
-        (["--source=stress", "--output=x", "--input=y"], "--input does not belong to --source=stress"),
+        (["--source=stress", "--output=x", "--input=y"], "y is not a LeRobot dataset"),
         (["--source=ee", "--output=x"], "--input is missing"),
         (["--source=ee", "--input=x"], "--output is missing"),
         (["--source=synthetic", "--output=x"], "--episodes must be positive"),

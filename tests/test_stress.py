@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from lerobot_mimicik.cli.make_dataset import main
 from lerobot_mimicik.data.home import with_home
 from lerobot_mimicik.data.stress.closest import closest_poses, descend, pose_cost
 from lerobot_mimicik.data.stress.sets import KINDS, make_stress, stress_cases
@@ -160,3 +161,27 @@ def test_sets_are_datasets_that_evaluation_reads_with_their_columns(tmp_path):
     assert shaking.closest is None
     assert distance(beyond.closest, beyond.target).max() > 5e-3
     assert {CLEAN_KEY, CLOSEST_KEY} == {"observation.ee_target_clean", "observation.ee_target_closest"}
+
+
+def test_recorded_motion_is_made_to_tremble_and_stays_as_the_clean_target(tmp_path):
+    make_stress(tmp_path / "own", ARMS["six"], kinds=["splices"], episodes=2, seconds=5.0)
+    options = ["--source=stress", f"--input={tmp_path / 'own' / 'splices'}", f"--output={tmp_path / 'made'}"]
+    urdf = tmp_path / "six.urdf"
+    urdf.write_text(ARMS["six"].urdf)
+    assert main([*options, f"--arm={urdf}", "--stress.kinds=splices"]) == 2
+    assert main([*options, f"--arm={urdf}"]) == 0
+    import torch
+
+    arm = SerialArm(ARMS["six"], dtype=torch.float64)
+    recorded = load_trajectories(tmp_path / "own" / "splices", arm).trajectories
+    size = {}
+    for mm in (0, 0.5, 1, 2):
+        made = load_trajectories(tmp_path / "made" / f"tremor-{mm:g}mm", arm).trajectories
+        assert len(made) == len(recorded) == 2
+        for one, other in zip(made, recorded, strict=True):
+            np.testing.assert_allclose(one.clean, other.target, atol=1e-6)
+            np.testing.assert_array_equal(one.q, other.q)
+        size[mm] = 1e3 * np.sqrt((distance(made[0].clean, made[0].target) ** 2).mean())
+    assert size[0] == 0
+    assert size[1] == pytest.approx(1.0, abs=1e-3)
+    assert size[2] == pytest.approx(2 * size[1], rel=1e-3)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from lerobot_mimicik.data.joint_logs import LogSummary
     from lerobot_mimicik.data.retargeting.report import RetargetSummary
     from lerobot_mimicik.data.stress.sets import StressSummary
+    from lerobot_mimicik.data.stress.tremor import RecordedMotion
     from lerobot_mimicik.data.teleoperation.synthetic import SyntheticSummary
     from lerobot_mimicik.kinematics.arms import ArmDescription
 
@@ -143,7 +144,8 @@ class MakeDatasetConfig:
     robot0_eef_rot_axis_angle), or a LeRobot dataset with poses. zarr is not read: convert it first.
     source=joints writes OUTPUT from logs of an arm's joints (parquet or CSV, or a folder of such files): time,
     measured joints (q1, q2, ... or the joints' names) and, where --columns.commands names them, commanded ones.
-    source=stress writes OUTPUT/KIND for each kind of stress set (see docs/stress.md), for any arm.
+    source=stress writes OUTPUT/KIND for each kind of stress set (see docs/stress.md), for any arm; with --input, a
+    dataset of its joints, tremor is added to that motion.
 
     Example: `mimicik make-dataset --source=ee --input=recordings --arm=airbot_play --output=data/hand`
     """
@@ -153,10 +155,11 @@ class MakeDatasetConfig:
     source: str = "synthetic"
     # Folder of the dataset to write.
     output: str = ""
-    # source=ee, joints: file, folder or LeRobot dataset to read.
+    # source=ee, joints: file, folder or LeRobot dataset to read. source=stress: dataset whose motion shall tremble.
     input: str = ""
     robot: RobotOptions = field(default_factory=RobotOptions)
-    # source=synthetic: number of episodes, train and test together. source=stress: of each kind; 0: 4.
+    # source=synthetic: number of episodes, train and test together. source=stress: of each kind; 0: 4, or all
+    # that are recorded.
     # source=ee: first recordings only; 0: all.
     episodes: int = 0
     # Space of state and action: joints (to train MimicIK), or ee: poses (to train a policy that it serves).
@@ -297,26 +300,47 @@ def run(
 
 
 def _write_stress(config: MakeDatasetConfig, description: ArmDescription) -> StressSummary:
-    from lerobot_mimicik.data.stress.sets import KINDS, make_stress
+    from lerobot_mimicik.data.stress.sets import KINDS, RECORDED_KINDS, make_stress
 
-    for option in ("input", "lag", "test_share", "resume"):
+    for option in ("lag", "test_share", "resume"):
         if getattr(config, option):
             raise ValueError(f"--{option} does not belong to --source=stress")
     if config.space != "joints":
         raise ValueError(
             "--space=ee does not belong to --source=stress: these sets are to measure solvers on"
         )
+    fps, recorded = _recorded_motion(config, description)
     return make_stress(
         config.output,
         description,
-        kinds=words(config.stress.kinds) or KINDS,
-        episodes=config.episodes or _STRESS_EPISODES,
+        kinds=words(config.stress.kinds) or (RECORDED_KINDS if recorded else KINDS),
+        episodes=config.episodes or len(recorded) or _STRESS_EPISODES,
         seconds=config.stress.seconds,
-        fps=config.fps,
+        fps=fps,
         seed=config.seed,
         robot_type=_robot_type(config.robot),
         overwrite=config.overwrite,
+        recorded=recorded,
+        inputs=[config.input] if recorded else [],
     )
+
+
+def _recorded_motion(
+    config: MakeDatasetConfig, description: ArmDescription
+) -> tuple[int, list[RecordedMotion]]:
+    """Frame rate and recordings of the dataset --input, where there is one."""
+    from lerobot_mimicik.data.stress.tremor import RecordedMotion
+
+    if not config.input:
+        return config.fps, []
+    check_exists(config.input, "--input")
+    import torch
+
+    from lerobot_mimicik.evaluation.trajectories import load_trajectories
+    from lerobot_mimicik.kinematics.chain import SerialArm
+
+    found = load_trajectories(config.input, SerialArm(description, dtype=torch.float64))
+    return round(found.fps), [RecordedMotion(each.q, each.target) for each in found.trajectories]
 
 
 def _write_logs(config: MakeDatasetConfig, description: ArmDescription) -> LogSummary:

@@ -19,13 +19,14 @@ from lerobot_mimicik.data.stress.out_of_reach import out_of_reach
 from lerobot_mimicik.data.stress.outside_limits import outside_limits
 from lerobot_mimicik.data.stress.reclutching import reclutching
 from lerobot_mimicik.data.stress.splices import spliced_chunks
-from lerobot_mimicik.data.stress.tremor import trembling
+from lerobot_mimicik.data.stress.tremor import RecordedMotion, recorded_trembling, trembling
 from lerobot_mimicik.data.writer import write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.names import did_you_mean
 
 Maker = Callable[[ArmArrays, int, float, np.random.Generator], list[StressCase]]
-TREMOR_MM = (0.0, 0.5, 1.0, 2.0)
+_TREMORS = {f"tremor-{mm:g}mm": mm for mm in (0.0, 0.5, 1.0, 2.0)}
+"""Root mean square of the tremor by the set's name [mm]."""
 
 
 def _workspace(arm: ArmArrays, frames: int, fps: float, rng: np.random.Generator) -> list[StressCase]:
@@ -35,7 +36,7 @@ def _workspace(arm: ArmArrays, frames: int, fps: float, rng: np.random.Generator
 
 # The maker, and the number of the random stream: sets of one stream share their motion.
 _KINDS: dict[str, tuple[Maker, int]] = {
-    **{f"tremor-{mm:g}mm": (partial(trembling, rms_mm=mm), 0) for mm in TREMOR_MM},
+    **{name: (partial(trembling, rms_mm=mm), 0) for name, mm in _TREMORS.items()},
     "near-singular": (near_singular, 1),
     "out-of-reach": (out_of_reach, 2),
     "splices": (spliced_chunks, 3),
@@ -45,6 +46,8 @@ _KINDS: dict[str, tuple[Maker, int]] = {
 }
 KINDS: tuple[str, ...] = tuple(_KINDS)
 """Names of the stress sets."""
+RECORDED_KINDS: tuple[str, ...] = tuple(_TREMORS)
+"""Names of those that recorded motion can be made into."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +67,18 @@ class StressSummary:
 
 
 def stress_cases(
-    description: ArmDescription, kind: str, episodes: int, seconds: float, fps: int, seed: int = 0
+    description: ArmDescription,
+    kind: str,
+    episodes: int,
+    seconds: float,
+    fps: int,
+    seed: int = 0,
+    recorded: Sequence[RecordedMotion] = (),
 ) -> tuple[ArmArrays, list[StressCase]]:
     """The episodes of one stress set and the arm that they are for; the same seed gives the same.
+
+    With `recorded` motion its first `episodes` take the place of the motion that would be made; a tremor alone can be
+    added to it.
 
     Raises:
         ValueError: If there is no such kind, a number is out of range, or the arm cannot have it.
@@ -80,10 +92,24 @@ def stress_cases(
         raise ValueError(f"{episodes} episodes of {frames} frames: expected at least 1 of at least 2 frames")
     arm = ArmArrays(with_home(description))
     maker, stream = _KINDS[kind]
+    if recorded:
+        if kind not in _TREMORS:
+            raise ValueError(
+                f"{kind} makes its own motion; along recorded motion: {', '.join(_TREMORS)} (--stress.kinds)"
+            )
+        return arm, [
+            recorded_trembling(motion, frames, fps, _stream(seed, stream, i), _TREMORS[kind])
+            for i, motion in enumerate(recorded[:episodes])
+            if len(motion.state) > 1
+        ]
     cases: list[StressCase] = []
     for i in range(episodes):
-        cases += maker(arm, frames, fps, np.random.default_rng(np.random.SeedSequence((seed, stream, i))))
+        cases += maker(arm, frames, fps, _stream(seed, stream, i))
     return arm, cases
+
+
+def _stream(*numbers: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(numbers))
 
 
 def make_stress(
@@ -97,6 +123,8 @@ def make_stress(
     seed: int = 0,
     robot_type: str | None = None,
     overwrite: bool = False,
+    recorded: Sequence[RecordedMotion] = (),
+    inputs: Sequence[str | Path] = (),
 ) -> StressSummary:
     """Write the stress sets of an arm as `output`/KIND.
 
@@ -110,6 +138,8 @@ def make_stress(
         seed: Of everything random.
         robot_type: LeRobot's free-form robot name.
         overwrite: Replace datasets that are already there.
+        recorded: Motion of this arm to add tremor to, in place of motion that is made.
+        inputs: Folders that it was read from, which are never written into.
 
     Raises:
         ValueError: If a kind is not known or a number is out of range.
@@ -121,14 +151,14 @@ def make_stress(
             f"unknown stress set {unknown[0]!r}; known are {', '.join(KINDS)}.{did_you_mean(unknown[0], KINDS)}"
         )
     for kind in kinds:
-        outputs.check_new(Path(output) / kind, "dataset", overwrite)
+        outputs.check_new(Path(output) / kind, "dataset", overwrite, inputs)
     description = with_home(description)
     roots: dict[str, Path] = {}
     counts: dict[str, dict[str, int]] = {}
     skipped: dict[str, str] = {}
     for kind in kinds:
         try:
-            arm, cases = stress_cases(description, kind, episodes, seconds, fps, seed)
+            arm, cases = stress_cases(description, kind, episodes, seconds, fps, seed, recorded)
         except ValueError as error:
             if len(kinds) == 1 or episodes < 1:
                 raise
