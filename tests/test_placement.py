@@ -14,8 +14,8 @@ from lerobot_mimicik.data.retargeting.placement import (
     find_workspace,
     propose,
 )
-from lerobot_mimicik.data.retargeting.trajectory_ik import forward, joint_range
 from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.trajectory_ik import forward, joint_range
 
 ARM = describe_arm("airbot_play")
 OPTIONS = PlacementOptions()

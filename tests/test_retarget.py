@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.data.retargeting.recordings import Recording
 from lerobot_mimicik.data.retargeting.retarget import CHANGED, DROPPED, KEPT, Retargeter, RetargetOptions
-from lerobot_mimicik.data.retargeting.trajectory_ik import forward, joint_range
 from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.trajectory_ik import forward, joint_range
 
 ARM = describe_arm("airbot_play")
 

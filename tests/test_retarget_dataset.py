@@ -9,8 +9,8 @@ from hand_recordings import hand_table
 
 from lerobot_mimicik.data.retargeting import dataset as module
 from lerobot_mimicik.data.retargeting.dataset import JobOptions, follow_command, retarget_dataset
-from lerobot_mimicik.data.retargeting.trajectory_ik import forward
 from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.trajectory_ik import forward
 
 ARM = describe_arm("airbot_play")
 QUIET = {"progress": False, "workers": 0}

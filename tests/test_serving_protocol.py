@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from lerobot_mimicik.serving import protocol
 from lerobot_mimicik.serving.limits import Limits, RateLimiter
-from lerobot_mimicik.serving.protocol import BadRequestError, ServingError, UnknownSessionError
-from lerobot_mimicik.serving.security import is_local
+from lerobot_mimicik.wire import protocol
+from lerobot_mimicik.wire.protocol import BadRequestError, ServingError, UnknownSessionError
+from lerobot_mimicik.wire.security import is_local
 
 ARRAYS = arrays(np.float64, array_shapes(min_dims=0, max_dims=2, min_side=0, max_side=5))
 

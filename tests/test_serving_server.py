@@ -14,10 +14,12 @@ from serving_cases import HOME, POSE, Busy, Slow, Waiting, serving
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.evaluation.rollouts import make_rollouts
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
-from lerobot_mimicik.serving import protocol
-from lerobot_mimicik.serving.client import IKClient
 from lerobot_mimicik.serving.limits import Limits
-from lerobot_mimicik.serving.protocol import (
+from lerobot_mimicik.serving.server import IKServer
+from lerobot_mimicik.solvers import make_solver
+from lerobot_mimicik.solvers.remote_client import IKClient
+from lerobot_mimicik.wire import protocol
+from lerobot_mimicik.wire.protocol import (
     BadRequestError,
     RateExceededError,
     ServerTimeoutError,
@@ -25,9 +27,7 @@ from lerobot_mimicik.serving.protocol import (
     SolverFailedError,
     UnknownSessionError,
 )
-from lerobot_mimicik.serving.security import ClientKeys, ServerKeys, make_keys
-from lerobot_mimicik.serving.server import IKServer
-from lerobot_mimicik.solvers import make_solver
+from lerobot_mimicik.wire.security import ClientKeys, ServerKeys, make_keys
 
 # s: a machine that is busy with other things answers late; a server that does not answer at all is found in the end.
 PATIENT = 300.0

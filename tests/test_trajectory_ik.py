@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lerobot_mimicik.data.retargeting.trajectory_ik import (
+from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.trajectory_ik import (
     TrajectoryOptions,
     forward,
     joint_range,
     pose_residual,
     solve_trajectories,
 )
-from lerobot_mimicik.kinematics.arms import describe_arm
 
 ARM = describe_arm("airbot_play")
 HOME = np.array(ARM.home)

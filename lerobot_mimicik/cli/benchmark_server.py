@@ -53,9 +53,9 @@ def main(argv: Sequence[str]) -> int:
         remote_rate,
         waiting_beside_batches,
     )
-    from lerobot_mimicik.serving.client import IKClient
     from lerobot_mimicik.serving.limits import Limits
     from lerobot_mimicik.solvers import make_solver
+    from lerobot_mimicik.solvers.remote_client import IKClient
 
     if not 1 <= config.window <= (most := Limits().max_waiting):
         raise ValueError(f"--window={config.window}: expected 1 to {most}, as many as the server lets wait")

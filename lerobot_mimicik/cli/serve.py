@@ -62,7 +62,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the command."""
     config = parse(ServeConfig, argv, "mimicik serve")
     try:
-        from lerobot_mimicik.serving.security import make_keys
+        from lerobot_mimicik.wire.security import make_keys
     except ModuleNotFoundError as error:
         raise RuntimeError(
             f"{error.name} is not installed: pip install 'lerobot_policy_mimicik[serve]'."
@@ -110,8 +110,8 @@ def make_server(config: ServeConfig) -> IKServer:
     import torch
 
     from lerobot_mimicik.serving.limits import Limits
-    from lerobot_mimicik.serving.security import ServerKeys
     from lerobot_mimicik.serving.server import IKServer
+    from lerobot_mimicik.wire.security import ServerKeys
 
     if bool(config.secret_key) != bool(config.allowed_keys):
         raise ValueError("--secret_key and --allowed_keys belong together; --make_keys=DIR makes a key pair.")

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import zmq
 
-from lerobot_mimicik.serving import protocol
-from lerobot_mimicik.serving.client import IKClient
+from lerobot_mimicik.solvers.remote_client import IKClient
+from lerobot_mimicik.wire import protocol
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess

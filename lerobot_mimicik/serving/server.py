@@ -19,18 +19,18 @@ import numpy as np
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
 
-from lerobot_mimicik.serving import protocol
 from lerobot_mimicik.serving.limits import Limits, RateLimiter
-from lerobot_mimicik.serving.protocol import (
+from lerobot_mimicik.serving.sessions import Session, SessionTable
+from lerobot_mimicik.solvers.base import Array, IKSolver
+from lerobot_mimicik.wire import protocol
+from lerobot_mimicik.wire.protocol import (
     BadRequestError,
     RateExceededError,
     ServingError,
     SolverFailedError,
     UnknownSessionError,
 )
-from lerobot_mimicik.serving.security import ZAP_DOMAIN, ServerKeys, check_allowed, is_local, secure_server
-from lerobot_mimicik.serving.sessions import Session, SessionTable
-from lerobot_mimicik.solvers.base import Array, IKSolver
+from lerobot_mimicik.wire.security import ZAP_DOMAIN, ServerKeys, check_allowed, is_local, secure_server
 
 _log = logging.getLogger(__name__)
 

@@ -7,8 +7,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from lerobot_mimicik.serving.protocol import BadRequestError, UnknownSessionError
 from lerobot_mimicik.solvers.base import IKSolver
+from lerobot_mimicik.wire.protocol import BadRequestError, UnknownSessionError
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,14 @@
 """The limit: the recorded path refined as a whole, knowing its future.
 
 No online solver can be expected to do better: all frames of a recording are found together by the solver that makes the
-project's data (`data/retargeting/trajectory_refinement.py`), starting from the recorded joints. It keeps joint limits
+project's data (`kinematics/trajectory_refinement.py`), starting from the recorded joints. It keeps joint limits
 (less 0.02 rad) and has no bound on the step but its smoothness.
 """
 
 from __future__ import annotations
 
-from lerobot_mimicik.data.retargeting.trajectory_ik import TrajectoryOptions, solve_trajectories
 from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.kinematics.trajectory_ik import TrajectoryOptions, solve_trajectories
 from lerobot_mimicik.solvers.base import Array, OfflineSolver, register_solver
 
 

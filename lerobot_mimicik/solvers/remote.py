@@ -8,7 +8,7 @@ from lerobot_mimicik.solvers.base import register_solver
 
 if TYPE_CHECKING:
     from lerobot_mimicik.kinematics.chain import SerialArm
-    from lerobot_mimicik.serving.client import IKClient
+    from lerobot_mimicik.solvers.remote_client import IKClient
 
 
 @register_solver("remote")
@@ -37,8 +37,8 @@ def remote_solver(
         ModuleNotFoundError: If ZeroMQ or msgpack is not installed.
     """
     try:
-        from lerobot_mimicik.serving.client import IKClient
-        from lerobot_mimicik.serving.security import ClientKeys
+        from lerobot_mimicik.solvers.remote_client import IKClient
+        from lerobot_mimicik.wire.security import ClientKeys
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
             f"The solver 'remote' needs {error.name}: pip install 'lerobot_policy_mimicik[serve]'."

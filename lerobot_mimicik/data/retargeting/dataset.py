@@ -27,10 +27,10 @@ from lerobot_mimicik.data.retargeting.recorded_units import check_recordings
 from lerobot_mimicik.data.retargeting.recordings import Recording, SourceColumns, load_recordings
 from lerobot_mimicik.data.retargeting.report import RetargetSummary, retarget_report
 from lerobot_mimicik.data.retargeting.retarget import DROPPED, Outcome, Retargeter, RetargetOptions
-from lerobot_mimicik.data.retargeting.trajectory_ik import forward
 from lerobot_mimicik.data.workers import worker_pool
 from lerobot_mimicik.data.writer import Episode, import_lerobot, write_dataset
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.trajectory_ik import forward
 
 REPORT_FILE = "meta/retarget_report.json"
 _BATCH = 128

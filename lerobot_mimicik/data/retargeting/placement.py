@@ -18,13 +18,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.data.home import find_home
-from lerobot_mimicik.data.retargeting.trajectory_ik import (
+from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.array_chain import array_chain
+from lerobot_mimicik.kinematics.trajectory_ik import (
     TrajectoryOptions,
     forward,
     solve_trajectories,
 )
-from lerobot_mimicik.kinematics.arms import ArmDescription
-from lerobot_mimicik.kinematics.array_chain import array_chain
 
 PAPER_WORKSPACE = (0.43, 0.40, 0.23)
 """Extent of the paper's recordings [m], of an arm whose joints beyond the shoulder reach 0.65 m."""

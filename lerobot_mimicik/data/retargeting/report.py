@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.data.retargeting.retarget import DROPPED, Outcome, RetargetOptions
-from lerobot_mimicik.data.retargeting.trajectory_ik import forward
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.trajectory_ik import forward
 
 
 @dataclass

@@ -33,14 +33,14 @@ from lerobot_mimicik.data.retargeting.placement import (
     propose,
 )
 from lerobot_mimicik.data.retargeting.recordings import Recording
-from lerobot_mimicik.data.retargeting.trajectory_ik import (
+from lerobot_mimicik.data.slowing import resample, stretched_clock
+from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.collision import ArmCollision
+from lerobot_mimicik.kinematics.trajectory_ik import (
     TrajectoryOptions,
     TrajectorySolution,
     solve_trajectories,
 )
-from lerobot_mimicik.data.slowing import resample, stretched_clock
-from lerobot_mimicik.kinematics.arms import ArmDescription
-from lerobot_mimicik.kinematics.collision import ArmCollision
 
 KEPT, CHANGED, DROPPED = "kept", "changed", "dropped"
 _WAYPOINT_SPACING = 5

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_mimicik.data.arm_arrays import ArmArrays, Array
-from lerobot_mimicik.data.retargeting.trajectory_refinement import PoseTargets
 from lerobot_mimicik.kinematics.array_chain import array_chain
+from lerobot_mimicik.kinematics.trajectory_refinement import PoseTargets
 
 LEVER_M = 0.1  # the lever at which a rotation counts as much as a translation
 _WEIGHT = np.repeat([1.0, LEVER_M], 3)
