@@ -1,9 +1,10 @@
 """End-effector recordings through stock `lerobot-replay` onto simulated arms: how exact and smooth the joint commands are.
 
-A circle, and a line along which the tool turns by 90 degrees, both around the arm's home. `mimicik_ee` stands before the
-simulated arm and, where placo is installed (extra `bench`), LeRobot's `RobotKinematics` in its place, called as LeRobot's
-own example of replaying does, from its last answer on. Run it with `uv run python examples/replay_recordings.py` and the
-names of arms, if not all.
+A circle, a line along which the tool turns by 90 degrees, and the motion of a hand, scaled into reach, all around the
+arm's home. `mimicik_ee` stands before the simulated arm and, where placo is installed (extra `bench`), LeRobot's
+`RobotKinematics` in its place, called as LeRobot's own example of replaying does, from its last answer on. Run it
+with `uv run python examples/replay_recordings.py` and the names of arms, if not all. The hand's motion is generated;
+`--hand=FILE` adds one that was recorded (any input of `mimicik make-dataset --source=ee`), the longest of the file.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ from lerobot.robots.config import RobotConfig
 from lerobot.scripts import lerobot_replay
 from scipy.spatial.transform import Rotation
 
+from lerobot_mimicik.cli.arms import reach
+from lerobot_mimicik.data.retargeting.cleaning import CleaningOptions, clean_recording
+from lerobot_mimicik.data.retargeting.recordings import load_recordings
+from lerobot_mimicik.data.teleoperation.hand_motion import Goal, HandPath, sample_style
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.kinematics.poses import compose, pose_distance
@@ -31,6 +36,10 @@ from robot_adapters.robots.mimicik_sim import MimicIKSim
 ARMS = ("so101", "piper", "panda", "airbot_play")
 FPS = 20  # of the simulated arm; the recording is played as fast as the computer can
 KEYS = [f"ee.{name}.pos" for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+HAND_ROOM = (
+    0.3  # side of the cube around home that a hand's motion is scaled into, in parts of the arm's reach
+)
+HAND_TURN = 0.5  # rad from home's orientation that its turns are scaled to
 Array = np.ndarray
 
 
@@ -102,8 +111,35 @@ class LeRobotIKToldSim(LeRobotIKSim):
     told = True
 
 
-def recordings(arm: str, frames: int) -> dict[str, Array]:
-    """Target poses (T, 7) of each recording: from home to home, from home to the end of a line."""
+def generated_hand(frames: int) -> Array:
+    """Poses (T, 7) of a hand that reaches from place to place and turns, in its own frame."""
+    rng = np.random.default_rng(0)
+    path = HandPath(np.zeros(6), sample_style(rng), rng, begin_s=0.5)
+    while path.now < frames / FPS:
+        path.move(Goal(rng.uniform(-1, 1, 6) * [0.15, 0.15, 0.1, 0.4, 0.4, 0.4]))
+    motion = path.sample(np.arange(frames) / FPS)
+    return np.hstack([motion[:, :3], Rotation.from_rotvec(motion[:, 3:]).as_quat()])
+
+
+def recorded_hand(source: str) -> Array:
+    """Poses (T, 7) of the longest recording of a file or folder, at the arm's rate."""
+    return clean_recording(max(load_recordings(source), key=len), CleaningOptions(fps=FPS)).pose
+
+
+def placed(hand: Array, arm: str) -> Array:
+    """A hand's motion (T, 7) from home on, scaled into reach where it is larger."""
+    description = describe_arm(arm)
+    home = point_chain(description).pose(np.array(description.home))
+    way = hand[:, :3] - hand[0, :3]
+    turns = (Rotation.from_quat(hand[:, 3:]) * Rotation.from_quat(hand[0, 3:]).inv()).as_rotvec()
+    way *= min(1.0, HAND_ROOM / 2 * reach(description) / np.abs(way).max())
+    turns *= min(1.0, HAND_TURN / np.linalg.norm(turns, axis=1).max())
+    turned = Rotation.from_rotvec(turns) * Rotation.from_quat(home[3:])
+    return np.hstack([home[:3] + way, turned.as_quat()])
+
+
+def recordings(arm: str, frames: int, hand: str | None = None) -> dict[str, Array]:
+    """Target poses (T, 7) of each recording: from home to home, from home to the end of a line, and hands'."""
     description = describe_arm(arm)
     chain = point_chain(description)
     home = chain.pose(np.array(description.home))
@@ -122,7 +158,12 @@ def recordings(arm: str, frames: int) -> dict[str, Array]:
     turns[:, 3:] = Rotation.from_rotvec(np.pi / 2 * way[:, None] * axis).as_quat()
     line = compose(home, turns)
     line[:, 1] += 0.1 * way
-    return {"circle": circle, "line, 90 degrees": line}
+    hands = {"hand, generated": generated_hand(frames)} | (
+        {"hand, recorded": recorded_hand(hand)} if hand else {}
+    )
+    return {"circle": circle, "line, 90 degrees": line} | {
+        name: placed(each, arm) for name, each in hands.items()
+    }
 
 
 def write(poses: Array, root: Path, fps: int = 1000) -> None:
@@ -148,7 +189,7 @@ def replay(root: Path, *robot: str) -> Array:
     return np.array(ObservedSim.commands)
 
 
-def main(arms: tuple[str, ...] = ARMS, frames: int = 200) -> list[dict]:
+def main(arms: tuple[str, ...] = ARMS, frames: int = 200, hand: str | None = None) -> list[dict]:
     """Replay everything; one row for each arm, recording and solver."""
     rows = []
     for arm in arms:
@@ -160,7 +201,7 @@ def main(arms: tuple[str, ...] = ARMS, frames: int = 200) -> list[dict]:
             for kind, name in (("lerobot_ik_sim", ""), ("lerobot_ik_told_sim", ", told its start")):
                 options = [f"--robot.{each}" for each in sim]
                 robots[f"LeRobot's RobotKinematics{name}"] = [f"--robot.type={kind}", *options]
-        for name, poses in recordings(arm, frames).items():
+        for name, poses in recordings(arm, frames, hand).items():
             with tempfile.TemporaryDirectory() as folder:
                 write(poses, Path(folder) / "poses")
                 for solver, robot in robots.items():
@@ -201,4 +242,8 @@ def table(rows: list[dict]) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("arms", nargs="*", default=ARMS)
-    print(table(main(tuple(parser.parse_args().arms))))
+    parser.add_argument(
+        "--hand", help="recorded motion of a hand: a table, a folder of them, or a LeRobot dataset"
+    )
+    asked = parser.parse_args()
+    print(table(main(tuple(asked.arms), hand=asked.hand)))

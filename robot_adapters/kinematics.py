@@ -55,7 +55,8 @@ class MimicIKKinematics:
         self._chain = point_chain(self.description)
         self._at = [self.joint_names.index(name) for name in chain]
         self.result: IKResult | None = None
-        self._adapters: dict[bool, MimicIKAdapter] = {}
+        # The usual one is made at once: what it takes to warm up shall not keep an arm that already moves waiting.
+        self._adapters: dict[bool, MimicIKAdapter] = {True: self.make_adapter()}
         self._last: dict[bool, Array] = {}
 
     def make_adapter(self, orientation_weight: float = 0.01) -> MimicIKAdapter:

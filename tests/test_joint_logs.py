@@ -6,9 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from airbot_data import airbot_data
+from lerobot.datasets import LeRobotDataset
 
 from lerobot_mimicik.cli import make_dataset
 from lerobot_mimicik.data.joint_logs import LogColumns, write_joint_logs
+from lerobot_mimicik.data.writer import POSE_NAMES
 from lerobot_mimicik.evaluation.evaluate import study
 from lerobot_mimicik.evaluation.report import describe_recording
 from lerobot_mimicik.evaluation.trajectories import load_trajectories
@@ -61,6 +63,37 @@ def test_without_commands_the_next_measurement_is_the_target(tmp_path):
     (trajectory,) = read(tmp_path / "set")
     following = poses(trajectory.q[1:])
     np.testing.assert_allclose(trajectory.target[:-1], following, atol=1e-4)
+
+
+def test_a_lerobot_dataset_of_joints_in_degrees_becomes_one_of_poses(tmp_path):
+    piper = describe_arm("piper")
+    names = [*(f"joint_{i}.pos" for i in range(1, 7)), "gripper.pos"]
+    # Some datasets' actions are those of another arm, the leader: the next state counts.
+    features = {
+        "observation.state": {"dtype": "float32", "shape": (7,), "names": names},
+        "action": {"dtype": "float32", "shape": (2,), "names": ["shoulder_pan.pos", "gripper.pos"]},
+    }
+    recorded = LeRobotDataset.create("local/joints", 20, features, root=tmp_path / "joints", use_videos=False)
+    way = np.linspace(0, 5, 60)[:, None] * np.ones(6) + np.degrees(piper.home)
+    for q in way:
+        state = np.array([*q, 90.0 + q[0]], dtype=np.float32)
+        recorded.add_frame({"observation.state": state, "action": state[:2], "task": "pick"})
+    recorded.save_episode()
+    recorded.finalize()
+    columns = LogColumns(units="deg")
+    summary = write_joint_logs(tmp_path / "joints", tmp_path / "poses", piper, columns, space="ee")
+    assert (summary.episodes, summary.frames) == (1, 59)
+    written = LeRobotDataset("local/poses", root=tmp_path / "poses")
+    assert written.features["action"]["names"] == [
+        *(f"ee.{each}.pos" for each in POSE_NAMES),
+        "ee.gripper.pos",
+    ]
+    assert written[0]["task"] == "pick"
+    frames = written.hf_dataset.with_format("numpy")[:]
+    state, action = frames["observation.state"], frames["action"]
+    expected = array_chain(piper).pose(np.radians(way[:59]))
+    np.testing.assert_allclose(state, np.column_stack([expected, 90.0 + way[:59, 0]]), atol=1e-4)
+    np.testing.assert_allclose(action[:-1], state[1:], atol=1e-6)
 
 
 def test_degrees_columns_of_any_name_and_groups(tmp_path):

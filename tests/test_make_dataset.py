@@ -51,7 +51,6 @@ def test_recordings_become_a_dataset(tmp_path, source, capsys):
             ["--source=joints", "--output=x", "--input=y", "--episodes=2"],
             "does not belong to --source=joints",
         ),
-        (["--source=joints", "--output=x", "--input=y", "--columns.gripper=g"], "does not belong"),
         (["--source=ee", "--output=x", "--input=y", "--columns.joints=q1"], "belongs to --source=joints"),
         (["--source=ee", "--output=x", "--input=nothing.csv"], "nothing.csv does not exist"),
         (["--source=ee", "--output=x", "--input=y", "--robot=nobody"], "neither a shipped arm"),

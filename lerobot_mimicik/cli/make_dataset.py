@@ -142,8 +142,9 @@ class MakeDatasetConfig:
     test_share, OUTPUT/train and OUTPUT/test. Input: parquet or CSV (time, position, quaternion or rotation
     vector, group columns), a folder of such files, UMI-style tables (robot0_eef_pos,
     robot0_eef_rot_axis_angle), or a LeRobot dataset with poses. zarr is not read: convert it first.
-    source=joints writes OUTPUT from logs of an arm's joints (parquet or CSV, or a folder of such files): time,
-    measured joints (q1, q2, ... or the joints' names) and, where --columns.commands names them, commanded ones.
+    source=joints writes OUTPUT from logs of an arm's joints (parquet or CSV, a folder of such files, or a
+    LeRobot dataset): time, measured joints (q1, q2, ... or the joints' names), gripper and, where --columns.commands
+    names them, commanded joints.
     source=stress writes OUTPUT/KIND for each kind of stress set (see docs/stress.md), for any arm; with --input, a
     dataset of its joints, tremor is added to that motion.
 
@@ -350,7 +351,7 @@ def _write_logs(config: MakeDatasetConfig, description: ArmDescription) -> LogSu
     for option in ("episodes", "lag", "test_share", "resume"):
         if getattr(config, option):
             raise ValueError(f"--{option} does not belong to --source=joints")
-    for option in ("position", "rotation", "gripper"):
+    for option in ("position", "rotation"):
         if getattr(columns, option):
             raise ValueError(f"--columns.{option} does not belong to --source=joints: logs of joints only")
     return write_joint_logs(
@@ -362,6 +363,7 @@ def _write_logs(config: MakeDatasetConfig, description: ArmDescription) -> LogSu
             joints=tuple(words(columns.joints)),
             commands=tuple(words(columns.commands)),
             units=columns.joint_units,
+            gripper=columns.gripper,
         ),
         fps=config.fps,
         max_gap=config.fit.max_gap,

@@ -19,10 +19,12 @@ import pandas as pd
 
 from lerobot_mimicik import outputs
 from lerobot_mimicik.data.joint_readings import Mended, pieces, usable_rows
+from lerobot_mimicik.data.lerobot_tables import is_lerobot, joint_table
 from lerobot_mimicik.data.tables import (
     TableColumns,
     existing,
     find_joint_columns,
+    guess_one,
     numeric,
     read_table,
     spans,
@@ -41,11 +43,13 @@ class LogColumns(TableColumns):
         joints: Measured joints, in the arm's order.
         commands: Commanded joints; empty: each frame aims at the next measured joints.
         units: "rad" or "deg", of joints that turn; those that slide are in m.
+        gripper: Its position, passed through; commands of it are the next ones measured.
     """
 
     joints: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
     units: str = "rad"
+    gripper: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,10 +84,10 @@ def write_joint_logs(
     overwrite: bool = False,
     space: str = "joints",
 ) -> LogSummary:
-    """Write the logs of a file, or of a folder's files, as one LeRobot dataset.
+    """Write the logs of a file, of a folder's files or of a LeRobot dataset as one LeRobot dataset.
 
     Args:
-        source: Parquet or CSV.
+        source: Parquet or CSV, or a LeRobot dataset with the joints in its state.
         root: The dataset's folder.
         description: The arm.
         columns: Where the logs keep what.
@@ -101,7 +105,8 @@ def write_joint_logs(
     """
     columns = columns or LogColumns()
     outputs.check_new(root, "dataset", overwrite, [source])
-    files, mended = table_files(Path(source)), Mended()
+    files = [Path(source)] if is_lerobot(Path(source)) else table_files(Path(source))
+    mended = Mended()
     episodes = [
         episode
         for path in files
@@ -144,7 +149,7 @@ def _episodes(
     task: str,
     mended: Mended,
 ) -> Iterator[Episode]:
-    table, where = read_table(path), str(path)
+    table, where = joint_table(path) if is_lerobot(path) else read_table(path), str(path)
     chain = array_chain(description)
     measured = _joint_columns(table, columns.joints, description, where)
     commanded = _joint_columns(table, columns.commands, description, where) if columns.commands else measured
@@ -158,12 +163,18 @@ def _episodes(
         mended,
     )
     joints = np.hstack(clipped)
+    gripper = guess_one(table, columns.gripper, "gripper", where)
+    opening = None if gripper is None else numeric(table, [gripper], where)
+    if opening is not None:
+        usable = usable & np.isfinite(opening[:, 0])
     for span in spans(table, columns, where, path.name):
-        for t, values in pieces(span.t, joints[span.rows], usable[span.rows], max_gap, fps, mended):
+        for piece in pieces(span.t, joints[span.rows], usable[span.rows], max_gap, fps, mended):
+            t, rows = span.t[piece], span.rows[piece]
             if t[-1] - t[0] < max(min_duration, 2 / fps):
                 mended.short += float(t[-1] - t[0])
                 continue
-            state, action = np.hsplit(_resampled(t, values, fps), 2)
+            state, action = np.hsplit(_resampled(t, joints[rows], fps), 2)
+            width = None if opening is None else _resampled(t, opening[rows], fps)
             # A frame's action is what holds at the next.
             state, action = state[:-1], action[1:]
             yield Episode(
@@ -173,6 +184,7 @@ def _episodes(
                 ee_target=chain.pose(action),
                 task=span.task or task,
                 session=span.session,
+                gripper=None if width is None else np.hstack([width[:-1], width[1:]]),
             )
 
 
@@ -196,5 +208,6 @@ def _joint_columns(
 
 def _resampled(time: np.ndarray, values: np.ndarray, fps: int) -> np.ndarray:
     """Values (N, d) at the times of frames, (T, d)."""
-    grid = np.arange(time[0], time[-1], 1 / fps)
+    # Stamps of single precision are short of a frame by less than 1 % of it.
+    grid = time[0] + np.arange(int((time[-1] - time[0]) * fps + 0.01) + 1) / fps
     return np.column_stack([np.interp(grid, time, column) for column in values.T])

@@ -105,8 +105,8 @@ def usable_rows(
 
 def pieces(
     time: np.ndarray, joints: np.ndarray, usable: np.ndarray, max_gap: float, fps: int, mended: Mended
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Stamps and joints of what is uninterrupted: usable, stamps strictly rising, neither a long hole nor a jump.
+) -> Iterator[np.ndarray]:
+    """The rows of what is uninterrupted: usable, stamps strictly rising, neither a long hole nor a jump.
 
     Args:
         time: Stamps [s], (N,).
@@ -129,5 +129,4 @@ def pieces(
     # Holes of a frame or less are the log's own rate.
     filled = elapsed[(np.diff(rows) > 1) & ~hole & ~jump & (elapsed > 1 / fps)]
     mended.bridged = max([mended.bridged, *filled.tolist()])
-    for piece in np.split(rows, np.flatnonzero(hole | jump) + 1):
-        yield time[piece], joints[piece]
+    yield from np.split(rows, np.flatnonzero(hole | jump) + 1)

@@ -22,7 +22,7 @@ GROUPS = (
     "episode", "episode_id", "episode_index",
 )  # fmt: skip
 # How a table may call joint number i (from one) with this name.
-_JOINTS = ("{name}", "{name}.pos", "q{i}", "joint{i}", "joint_{i}")
+_JOINTS = ("{name}", "{name}.pos", "q{i}", "joint{i}", "joint_{i}", "joint{i}.pos", "joint_{i}.pos")
 _ONE = {
     "time": ("t", "time", "timestamp", "timestamps", "stamp", "time_s", "timestamp_s", "robot_timestamp"),
     "gripper": (

@@ -7,7 +7,6 @@ repaired here (see `cleaning`).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lerobot_mimicik.data.lerobot_tables import (
+    STATE,
+    component_names,
+    is_lerobot,
+    read_lerobot,
+    task_sentences,
+)
 from lerobot_mimicik.data.retargeting.pose_columns import PoseColumns, find_pose_columns, gather_poses
 from lerobot_mimicik.data.tables import (
     TableColumns,
@@ -104,7 +110,7 @@ def load_recordings(
         ValueError: A format or columns that are not understood; the message lists the columns that exist.
     """
     source, columns = Path(source), columns or SourceColumns()
-    if (source / "meta" / "info.json").is_file():
+    if is_lerobot(source):
         return _load_lerobot(source, columns, joint_names)
     return [
         recording
@@ -146,23 +152,13 @@ def _poses(table: pd.DataFrame, found: PoseColumns, columns: SourceColumns, wher
 
 def _load_lerobot(root: Path, columns: SourceColumns, joint_names: Sequence[str]) -> list[Recording]:
     """Recordings of a LeRobot v3 dataset: one per episode, from the first feature that holds poses."""
-    import pandas as pd
-
-    try:
-        info = json.loads((root / "meta" / "info.json").read_text())
-    except ValueError as error:
-        raise ValueError(f"{root / 'meta' / 'info.json'} is not JSON: {error}") from error
+    table, info = read_lerobot(root)
     features: dict[str, dict[str, Any]] = info["features"]
-    wanted = [key for key, ft in features.items() if ft["dtype"] not in ("video", "image")]
-    files = sorted((root / "data").glob("*/*.parquet"))
-    if not files:
-        raise ValueError(f"LeRobot dataset {root} has no data/*/*.parquet")
-    table = pd.concat([read_parquet(path, columns=wanted) for path in files], ignore_index=True)
     found = find_pose_columns(table, columns.position, columns.rotation, str(root), features)
     pose = _poses(table, found, columns, str(root))
-    joints = _lerobot_joints(table, features, joint_names)
-    gripper = _lerobot_gripper(table, features, columns.gripper, found, str(root))
-    tasks, sessions = _lerobot_metadata(root)
+    joints = _lerobot_joints(table, info, joint_names)
+    gripper = _lerobot_gripper(table, info, columns.gripper, found, str(root))
+    tasks, sessions = task_sentences(root), _lerobot_sessions(root)
     fps = float(info["fps"])
     time = (
         table["timestamp"].to_numpy(dtype=np.float64)
@@ -188,25 +184,20 @@ def _load_lerobot(root: Path, columns: SourceColumns, joint_names: Sequence[str]
 
 
 def _lerobot_joints(
-    table: pd.DataFrame, features: dict[str, dict[str, Any]], joint_names: Sequence[str]
+    table: pd.DataFrame, info: dict[str, Any], joint_names: Sequence[str]
 ) -> np.ndarray | None:
     """The joints among the named components of the state, (rows, dof), if they are there."""
-    names = _component_names(features, "observation.state")
-    found = find_joint_columns(names, joint_names) if joint_names and "observation.state" in table else None
+    names = component_names(info, STATE)
+    found = find_joint_columns(names, joint_names) if joint_names and STATE in table else None
     if found is None:
         return None
-    state = np.stack(table["observation.state"].to_numpy()).astype(np.float64)
+    state = np.stack(table[STATE].to_numpy()).astype(np.float64)
     return state[:, [names.index(name) for name in found]]
-
-
-def _component_names(features: dict[str, dict[str, Any]], key: str) -> list[str]:
-    names = features.get(key, {}).get("names") or []
-    return [str(name) for name in (next(iter(names.values())) if isinstance(names, dict) else names)]
 
 
 def _lerobot_gripper(
     table: pd.DataFrame,
-    features: dict[str, dict[str, Any]],
+    info: dict[str, Any],
     name: str,
     found: PoseColumns,
     where: str,
@@ -215,19 +206,15 @@ def _lerobot_gripper(
     column = guess_one(table, name, "gripper", where)
     if column is not None:
         return np.stack(table[column].to_numpy()).reshape(len(table), -1)[:, 0].astype(np.float64)
-    for key in (found.position[0], "observation.state"):
-        for index, component in enumerate(_component_names(features, key)):
+    for key in (found.position[0], STATE):
+        for index, component in enumerate(component_names(info, key)):
             if "gripper" in component.lower():
                 return np.stack(table[key].to_numpy())[:, index].astype(np.float64)
     return None
 
 
-def _lerobot_metadata(root: Path) -> tuple[dict[int, str], dict[int, str]]:
-    """Task by task index and session by episode index, as far as the dataset states them."""
-    tasks: dict[int, str] = {}
-    if (root / "meta" / "tasks.parquet").is_file():
-        table = read_parquet(root / "meta" / "tasks.parquet")
-        tasks = {int(index): str(task) for task, index in table["task_index"].items()}
+def _lerobot_sessions(root: Path) -> dict[int, str]:
+    """Session by episode index, as far as the dataset states them."""
     sessions: dict[int, str] = {}
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
         table = read_parquet(path)
@@ -235,4 +222,4 @@ def _lerobot_metadata(root: Path) -> tuple[dict[int, str], dict[int, str]]:
             sessions |= {
                 int(e): str(s) for e, s in zip(table["episode_index"], table["session"], strict=True)
             }
-    return tasks, sessions
+    return sessions
