@@ -29,6 +29,8 @@ except ModuleNotFoundError:  # on Windows, where nothing is held
     fcntl = None  # type: ignore[assignment]
 
 MARK_FILE = ".mimicik.json"
+PICTURE_MARK = b"made by mimicik demo"
+"""The comment in the pictures that `mimicik demo` may write again."""
 _VERSION = 1
 _HEAD = 4096  # bytes at the beginning of a file in which its mark is looked for
 # Files of each kind of folder, below it; `**` at the end: everything there. A folder below that has a mark of its

@@ -68,9 +68,10 @@ def test_commands_are_kept_and_drawn(ordeals, tmp_path):
     for name, rollouts in done.items():
         for trace, rollout in zip(traces[name], rollouts.values(), strict=True):
             np.testing.assert_array_equal(trace.rollout.q_curr, rollout.q_curr)
-    plot = plot_anatomy(ordeals, traces, airbot().joint_names)
-    assert "jump 0.70 rad (wrist)" in plot.caption
-    assert plot.save(tmp_path).is_file()
+    plots = plot_anatomy(ordeals, traces, airbot().joint_names)
+    assert [plot.title for plot in plots][:1] == ["Through the wrist singularity"]
+    assert "jump 0.70 rad" in plots[0].caption
+    assert all(plot.save(tmp_path).is_file() for plot in plots)
     with pytest.raises(ValueError, match="not of the motion 'wrist'"):
         load_commands(tmp_path / "dls.npz", _shorter(ordeals))
 

@@ -76,12 +76,12 @@ def test_the_table_has_every_row_and_says_what_is_unavailable(made):
     assert "- hold: The command is the measured joints" in page
     assert list(outputs.strangers(out)) == []
     figures = {path.name for path in (out / "figures").iterdir()}
-    assert figures == {
-        "errors_test.png", "errors_test.txt", "anatomy.png", "anatomy.txt", "tradeoff.png", "failures.png",
-    }  # fmt: skip
+    motions = [f"anatomy_{name}" for name in ("wrist", "elbow", "shoulder", "out_of_reach")]
+    noted = [f"{name}.{kind}" for name in ("errors_test", *motions) for kind in ("png", "txt")]
+    assert figures == {*noted, "tradeoff.png", "failures.png"}
     html = (out / "report.html").read_text()
     assert "test_not_installed is unavailable" in html
-    assert html.count("<figure>") == 4
+    assert html.count("<figure>") == 7
     assert {path.name for path in (out / "anatomy").iterdir()} == {"mlp.npz", "hold.npz"}
 
 

@@ -43,17 +43,6 @@ def test_lerobots_phone_pipeline_runs_with_mimicik(example):
     assert set(example("phone_pipeline").main()) == {IKStatus.REACHED}
 
 
-def test_the_pictures_undamped_solver_jumps_and_the_guided_one_does_not(example, tmp_path):
-    picture = example("wrist_singularity")
-    trajectory = picture.motion()
-    moved = {name: picture.commands(solver, trajectory) for name, solver in picture.solvers().items()}
-    undamped, guided = (picture.joint_steps(q).max() for q in moved.values())
-    assert undamped > 0.5  # rad a frame: an emergency stop
-    assert guided < 0.1
-    picture.draw(moved, trajectory, tmp_path / "wrist.gif", frames=2)
-    assert (tmp_path / "wrist.gif").stat().st_size > 1000
-
-
 def test_recordings_through_lerobots_replay_are_met_within_a_step(example):
     for row in example("replay_recordings").main(("panda",), frames=60):
         if row["robot"] == "mimicik_ee":

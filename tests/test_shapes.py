@@ -5,8 +5,7 @@ import pytest
 
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.array_chain import array_chain
-from lerobot_mimicik.kinematics.shapes import read_shapes
-from lerobot_mimicik.viewing.scene import drawn_shapes
+from lerobot_mimicik.kinematics.shapes import drawn_shapes, read_shapes
 
 _FINGERED = """<robot name="fingered">
 <material name="red"><color rgba="1 0 0 1"/></material>

@@ -20,13 +20,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.cli.options import decimals, parse
+from lerobot_mimicik.cli.options import decimals, parse, say_loading
 from lerobot_mimicik.evaluation import training_process
 
 HELP = "Go the whole way: make a dataset, train a policy on it, measure it, write a report with figures."
 
 _STATE = "demo.json"
-_NEW_EACH_TIME = ("output", "resume", "overwrite", "workers", "device")
+_NEW_EACH_TIME = ("output", "resume", "overwrite", "workers", "device", "picture")
 # Enough to see over-fitting in the training curves, little enough to cost seconds.
 _HELD_OUT_SHARE, _HELD_OUT_SAMPLES, _EVALUATIONS = 0.05, 2048, 10
 
@@ -69,6 +69,9 @@ class DemoConfig:
     resume: bool = False
     # Replace what is in the output folder.
     overwrite: bool = False
+    # Only draw the arm through its singularity, beside LeRobot's own inverse kinematics or an undamped solver, into
+    # this file (GIF).
+    picture: str = ""
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,9 @@ class DemoData:
 def main(argv: Sequence[str]) -> int:
     """Run the command."""
     config = parse(DemoConfig, argv, "mimicik demo")
+    if config.picture:
+        draw_picture(config)
+        return 0
     begin = time.monotonic()
     with outputs.alone(config.output):
         page = run(config)
@@ -151,6 +157,31 @@ def run(config: DemoConfig) -> Path:
         steps=steps,
         commands=[command, eval_command],
     )
+
+
+def draw_picture(config: DemoConfig) -> None:
+    """Draw the animation of `--picture` and say what it shows.
+
+    Raises:
+        ValueError: If there is no such arm, or it has no singularity to be led through.
+        FileExistsError: If the file is there and is not such a picture.
+    """
+    from lerobot_mimicik.kinematics.arms import describe_arm
+
+    path = Path(config.picture)
+    description = describe_arm(config.arm)
+    outputs.check_file(path, "--picture", outputs.PICTURE_MARK)
+    say_loading()
+    from lerobot_mimicik.data.home import with_home
+    from lerobot_mimicik.evaluation.demo_report import singularity_animation
+
+    animation = singularity_animation(with_home(description, decimals(config.home, "--home")))
+    if animation is None:
+        raise ValueError(
+            f"--picture: the arm {config.arm} has no wrist, elbow or shoulder singularity to show."
+        )
+    path.write_bytes(animation.data)
+    print(f"{animation.caption}\nPicture: {path}")
 
 
 def make_data(config: DemoConfig, folder: Path) -> DemoData:

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from lerobot_mimicik.evaluation.anatomy import FPS, Ordeal
+from lerobot_mimicik.evaluation.anatomy import FPS, OUT_OF_REACH, Ordeal
 from lerobot_mimicik.evaluation.bench import LearnedRow
 from lerobot_mimicik.evaluation.metrics import ESTOP_RAD, JOINT_SPIKE_RAD, Trace
-from lerobot_mimicik.evaluation.plots import COLOURS, Plot, finished, mode_title, new_figure
+from lerobot_mimicik.evaluation.plots import (
+    COLOURS,
+    FONT,
+    Plot,
+    finished,
+    legend_below,
+    mode_title,
+    new_figure,
+)
 from lerobot_mimicik.evaluation.verdict import RETURNED_MM
 
 _STYLES = ("-", "--", ":")
@@ -23,8 +32,8 @@ def plot_errors(rows: Sequence[Mapping[str, Any]]) -> list[Plot]:
     for dataset in dict.fromkeys(row["dataset"] for row in rows):
         here = [row for row in rows if row["dataset"] == dataset]
         modes = list(dict.fromkeys(row["mode"] for row in here))
-        figure = new_figure(8.6, 3.6)
-        panels = np.atleast_1d(figure.subplots(1, len(modes), sharey=True))
+        figure = new_figure(0.7 + 1.8 * len(modes) + 0.17 * math.ceil(len(solvers) / 3))
+        panels = np.atleast_1d(figure.subplots(len(modes), 1, sharex=True))
         for panel, mode in zip(panels, modes, strict=True):
             for row in here:
                 if row["mode"] != mode:
@@ -40,12 +49,11 @@ def plot_errors(rows: Sequence[Mapping[str, Any]]) -> list[Plot]:
                     linewidth=1.1,
                     label=row["solver"] if row["seed"] == 0 else None,
                 )
-            panel.set(xscale="log", xlabel="position error [mm]", title=mode_title(mode))
+            panel.set(xscale="log", ylabel="frames [%]", title=mode_title(mode))
             panel.set_xlim(1e-3, None)
             panel.axvline(RETURNED_MM, color="#777777", linewidth=0.8)
-        panels[0].set_ylabel("frames with at most this error [%]")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
+        panels[-1].set_xlabel("position error at most [mm]")
+        legend_below(figure, panels[0], 3)
         caption = (
             f"Position error on {dataset}, a line for each seed; a line that ends below 100 % had frames "
             f"without a finite command. Grey line: {RETURNED_MM:g} mm."
@@ -70,7 +78,7 @@ def plot_fk_weights(rows: Sequence[Mapping[str, Any]], default_weight: float) ->
     if len(set(weights.values())) < 3:
         return None
     ticks = sorted(set(weights.values()))
-    figure = new_figure(8.6, 3.2)
+    figure = new_figure(2.4)
     panels = figure.subplots(1, 2)
     lines = dict.fromkeys((row["dataset"], row["mode"]) for row in rows)
     for panel, (key, title) in zip(
@@ -98,7 +106,7 @@ def plot_fk_weights(rows: Sequence[Mapping[str, Any]], default_weight: float) ->
             )
         panel.set_xticks(range(len(ticks)), [f"{weight:g}" for weight in ticks])
         panel.set(yscale="log", xlabel="weight of the FK loss", ylabel=title)
-    panels[-1].legend(fontsize=7)
+    legend_below(figure, panels[-1], 2)
     caption = f"Error over the weight of the FK consistency loss, {len(ticks)} weights, means over seeds."
     return finished("fk_weights", "Weight of the FK consistency loss", figure, caption)
 
@@ -122,8 +130,12 @@ def plot_seeds(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
     }
     if not panels_of or min(map(len, values.values())) < 2:
         return None
-    figure = new_figure(1.2 + 2.5 * len(panels_of), 3.0)
-    panels = np.atleast_1d(figure.subplots(1, len(panels_of)))
+    lines = math.ceil(len(panels_of) / 2)
+    figure = new_figure(0.2 + 2.0 * lines)
+    grid = figure.subplots(lines, 2, squeeze=False).ravel()
+    panels = grid[: len(panels_of)]
+    for panel in grid[len(panels_of) :]:
+        panel.remove()
     sentences = []
     for panel, place in zip(panels, panels_of, strict=True):
         spreads = []
@@ -133,65 +145,65 @@ def plot_seeds(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
             panel.plot(np.full(len(found), number), found, "o", color=COLOURS[number], markersize=5)
             panel.errorbar(number + 0.2, found.mean(), spreads[-1], fmt="_", color=COLOURS[number], capsize=4)
         panel.set_xticks(range(len(names)), ["with FK loss", "without"])
-        panel.set(xlim=(-0.5, 1.6), ylim=(0, None), title=f"{place[0]}, {mode_title(place[1])}")
+        panel.set(xlim=(-0.5, 1.6), ylim=(0, None), title=f"{place[0]}\n{mode_title(place[1])}")
         sentences.append(
             f"on {place[0]} in {mode_title(place[1])} the deviation over seeds is {spreads[0]:.3g} mm with and "
             f"{spreads[1]:.3g} mm without the FK loss"
         )
-    panels[0].set_ylabel("mean error [mm]")
+    figure.supylabel("mean error [mm]", fontsize=FONT)
     caption = f"A dot is one training, beside it mean and standard deviation: {'; '.join(sentences)}."
     return finished("fk_seeds", "Spread between seeds with and without the FK loss", figure, caption)
 
 
 def plot_anatomy(
     ordeals: Sequence[Ordeal], traces: Mapping[str, Sequence[Trace]], joint_names: Sequence[str]
-) -> Plot:
-    """What each solver did in the standard motions: a joint, the joint step and the error, a row a motion.
+) -> list[Plot]:
+    """What each solver did in the standard motions: a joint, the joint step and the error, a figure a motion.
 
     Args:
         ordeals: The motions.
         traces: Of every solver, in the motions' order.
         joint_names: Of the arm.
     """
-    figure = new_figure(11.0, 2.2 * len(ordeals))
-    grid = np.atleast_2d(figure.subplots(len(ordeals), 3))
-    sentences = []
-    for number, (ordeal, (joint_panel, step_panel, error_panel)) in enumerate(
-        zip(ordeals, grid, strict=True)
-    ):
-        seconds = (np.arange(len(ordeal.trajectory)) - ordeal.worst) / FPS
-        commands = {name: found[number].rollout.q_cmd for name, found in traces.items()}
-        # The joint on which the solvers agree least.
-        stacked = np.stack(list(commands.values()))
-        spread = np.nan_to_num(np.nanmax(stacked, axis=0) - np.nanmin(stacked, axis=0)).max(axis=0)
-        joint = int(spread.argmax())
-        for index, (name, found) in enumerate(traces.items()):
-            line = {
-                "color": COLOURS[index % len(COLOURS)],
-                "linestyle": _STYLES[index // len(COLOURS) % len(_STYLES)],
-                "linewidth": 1.0,
-                "label": name,
-            }
-            joint_panel.plot(seconds, commands[name][:, joint], **line)
-            step_panel.plot(seconds, np.maximum(found[number].max_dq, 1e-4), **line)
-            error_panel.plot(seconds, np.maximum(found[number].position_mm, 1e-3), **line)
-            largest = np.nanmax(found[number].max_dq)
-            if largest > JOINT_SPIKE_RAD * (1 + 1e-6):
-                sentences.append(f"{name} {largest:.2f} rad ({ordeal.name})")
-        joint_panel.set(ylabel=f"{joint_names[joint]} [rad]")
-        joint_panel.set_title(ordeal.name, loc="left")
-        step_panel.set(yscale="log", ylabel="joint step [rad]")
-        for limit in (JOINT_SPIKE_RAD, ESTOP_RAD):
-            step_panel.axhline(limit, color="#777777", linewidth=0.8)
-        error_panel.set(yscale="log", ylabel="error [mm]")
-        error_panel.axhline(RETURNED_MM, color="#777777", linewidth=0.8)
-    for panel in grid[-1]:
-        panel.set_xlabel("time from the worst point [s]")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=6)
+    return [
+        _plot_ordeal(ordeal, {name: found[number] for name, found in traces.items()}, joint_names)
+        for number, ordeal in enumerate(ordeals)
+    ]
+
+
+def _plot_ordeal(ordeal: Ordeal, traces: Mapping[str, Trace], joint_names: Sequence[str]) -> Plot:
+    figure = new_figure(3.8 + 0.17 * math.ceil(len(traces) / 3))
+    joint_panel, step_panel, error_panel = panels = figure.subplots(3, 1, sharex=True)
+    seconds = (np.arange(len(ordeal.trajectory)) - ordeal.worst) / FPS
+    # The joint on which the solvers agree least.
+    stacked = np.stack([trace.rollout.q_cmd for trace in traces.values()])
+    spread = np.nan_to_num(np.nanmax(stacked, axis=0) - np.nanmin(stacked, axis=0)).max(axis=0)
+    joint = int(spread.argmax())
+    jumped = []
+    for index, (name, trace) in enumerate(traces.items()):
+        line = {
+            "color": COLOURS[index % len(COLOURS)],
+            "linestyle": _STYLES[index // len(COLOURS) % len(_STYLES)],
+            "linewidth": 1.0,
+            "label": name,
+        }
+        joint_panel.plot(seconds, trace.rollout.q_cmd[:, joint], **line)
+        step_panel.plot(seconds, np.maximum(trace.max_dq, 1e-4), **line)
+        error_panel.plot(seconds, np.maximum(trace.position_mm, 1e-3), **line)
+        largest = np.nanmax(trace.max_dq)
+        if largest > JOINT_SPIKE_RAD * (1 + 1e-6):
+            jumped.append(f"{name} {largest:.2f} rad")
+    joint_panel.set(ylabel=f"{joint_names[joint]} [rad]")
+    step_panel.set(yscale="log", ylabel="joint step [rad]")
+    for limit in (JOINT_SPIKE_RAD, ESTOP_RAD):
+        step_panel.axhline(limit, color="#777777", linewidth=0.8)
+    error_panel.set(yscale="log", ylabel="error [mm]", xlabel="time from the worst point [s]")
+    error_panel.axhline(RETURNED_MM, color="#777777", linewidth=0.8)
+    legend_below(figure, panels[0], 3)
+    where = ordeal.name if ordeal.name == OUT_OF_REACH else f"through the {ordeal.name} singularity"
     caption = (
-        "Each motion passes through one kind of singularity, or leaves the reach and returns; solvers see the poses "
-        "only, in closed loop. Shown is the joint on which they agree least. Grey lines: 0.1 and 0.5 rad, 10 mm. "
-        + (f"Steps over 0.1 rad: {', '.join(sentences)}." if sentences else "No step is over 0.1 rad.")
+        "Solvers see the poses only, in closed loop. Shown is the joint on which they agree least. Grey lines: 0.1 and "
+        f"0.5 rad, 10 mm. {f'Steps over 0.1 rad: {", ".join(jumped)}.' if jumped else 'No step is over 0.1 rad.'}"
     )
-    return finished("anatomy", "Through singularities and out of reach", figure, caption)
+    name = f"anatomy_{ordeal.name.replace(' ', '_')}"
+    return finished(name, f"{where[0].upper()}{where[1:]}", figure, caption)

@@ -399,7 +399,7 @@ class _Bench:
             if self._ordeals and file.is_file()
         }
         if traces:
-            self._save_plots([plot_anatomy(self._ordeals, traces, self._arm.joint_names)])
+            self._save_plots(plot_anatomy(self._ordeals, traces, self._arm.joint_names))
 
     def _commands_file(self, name: str) -> Path:
         digest = self._digests.get(name, "")

@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 
 from lerobot_mimicik.data.writer import read_arm_json
+from lerobot_mimicik.evaluation.animation import Animation, animate
 from lerobot_mimicik.evaluation.evaluate import Evaluation
 from lerobot_mimicik.evaluation.page import Card, Page, write_page
 from lerobot_mimicik.evaluation.plots import (
@@ -21,8 +22,11 @@ from lerobot_mimicik.evaluation.plots import (
     plot_workspace,
 )
 from lerobot_mimicik.evaluation.report import machine
+from lerobot_mimicik.evaluation.side_by_side import follow
 from lerobot_mimicik.evaluation.training_log import Curve
 from lerobot_mimicik.evaluation.trajectories import load_trajectories
+from lerobot_mimicik.evaluation.words import describe_rows
+from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.chain import SerialArm
 
 _SOURCES = {
@@ -72,6 +76,9 @@ def write_demo_report(
     shown: list[Plot] = [plot for plot in plots if plot is not None]
     for plot in shown:
         plot.save(output / "figures")
+    first = singularity_animation(arm.description)
+    if first is not None:
+        first.save(output / "figures")
     host = machine()
     page = Page(
         title="MimicIK: inverse kinematics from teleoperation",
@@ -79,6 +86,8 @@ def write_demo_report(
         "measured on sessions that it has not seen and near singularities.",
         cards=_cards(test, closed_test, closed_ood),
         rows=[one.row for one in evaluations],
+        first=first,
+        words=describe_rows([one.row for one in evaluations]),
         notes=[_SOURCES[source], _rows_note(evaluations), *_verdict_notes(policy)],
         plots=shown,
         commands=commands,
@@ -92,6 +101,12 @@ def write_demo_report(
         },
     )
     return write_page(output / "report.html", page)
+
+
+def singularity_animation(description: ArmDescription) -> Animation | None:
+    """An arm led through a singularity by two solvers; None for one that has none."""
+    shown = follow(description)
+    return None if shown is None else animate(shown)
 
 
 def _cards(test: Sequence[Evaluation], closed_test: Evaluation, closed_ood: Evaluation) -> list[Card]:

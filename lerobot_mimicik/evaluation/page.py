@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from lerobot_mimicik.evaluation.animation import Animation
 from lerobot_mimicik.evaluation.plots import Plot
 from lerobot_mimicik.evaluation.short_table import COLUMNS, FAILED, cells, failed, groups, legend
-
-_PIXELS_PER_INCH = 130  # of a figure on the page: type of 8 points is as large as the text
 
 _STYLE = """
 :root { --ink: #1b2733; --soft: #5c6b7a; --line: #dde3e8; --accent: #0072B2; }
@@ -26,7 +24,7 @@ h1 { font-size: 27px; line-height: 1.2; margin: 0 0 6px; }
 h2 { font-size: 20px; margin: 44px 0 10px; }
 p { margin: 0 0 12px; }
 .lead { color: var(--soft); margin-bottom: 24px; }
-.cards { display: grid; grid-template-columns: repeat(4, 1fr); gap: 12px; }
+.cards { margin-top: 28px; display: grid; grid-template-columns: repeat(4, 1fr); gap: 12px; }
 .card { border: 1px solid var(--line); border-top: 3px solid var(--accent);
   border-radius: 6px; padding: 14px; }
 .card b { display: block; font-size: 25px; line-height: 1.2; font-variant-numeric: tabular-nums; }
@@ -66,6 +64,7 @@ class Page:
         lead: A sentence below it.
         cards: Headline figures.
         rows: Rows of the report.
+        first: What is seen before anything else.
         words: Sentences on what happened, above the table.
         notes: Sentences below the table.
         plots: Figures.
@@ -77,6 +76,7 @@ class Page:
     lead: str
     cards: Sequence[Card]
     rows: Sequence[Mapping[str, Any]]
+    first: Animation | None = None
     words: Sequence[str] = ()
     notes: Sequence[str] = ()
     plots: Sequence[Plot] = ()
@@ -101,6 +101,7 @@ def render(page: Page) -> str:
     )
     words = "".join(f"<li>{text(sentence)}</li>" for sentence in page.words)
     happened = f"<h2>What happened</h2><ul>{words}</ul>" if words else ""
+    first = _figure(page.first) if page.first is not None else ""
     notes = "".join(f'<p class="note">{text(note)}</p>' for note in page.notes)
     figures = "".join(_figure(plot) for plot in page.plots)
     commands = f"<h2>Commands</h2><pre>{text(chr(10).join(page.commands))}</pre>" if page.commands else ""
@@ -116,6 +117,7 @@ def render(page: Page) -> str:
 <body>
 <h1>{text(page.title)}</h1>
 <p class="lead">{text(page.lead)}</p>
+{first}
 <div class="cards">{cards}</div>
 {happened}
 <h2>Accuracy, smoothness and latency</h2>
@@ -158,13 +160,10 @@ def _text(text: str) -> str:
     return re.sub(r"(?<=\d) (?=(mm|m|ms|s|rad|%)\b|%)", "\u00a0", html.escape(text))
 
 
-def _figure(plot: Plot) -> str:
-    buffer = io.BytesIO()
-    plot.figure.savefig(buffer, format="png", dpi=150)
-    image = base64.b64encode(buffer.getvalue()).decode()
+def _figure(plot: Plot | Animation) -> str:
+    media, data = plot.image()
     title, caption = _text(plot.title), _text(plot.caption)
-    width = round(_PIXELS_PER_INCH * plot.figure.get_figwidth())
     return (
-        f'<h2>{title}</h2><figure><img alt="{title}" style="max-width:{width}px" '
-        f'src="data:image/png;base64,{image}"><figcaption>{caption}</figcaption></figure>'
+        f'<h2>{title}</h2><figure><img alt="{title}" style="max-width:{plot.width}px" '
+        f'src="data:{media};base64,{base64.b64encode(data).decode()}"><figcaption>{caption}</figcaption></figure>'
     )

@@ -5,12 +5,17 @@ Figures are built without pyplot, so no global state and no display is involved.
 
 from __future__ import annotations
 
+import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from scipy.spatial import cKDTree
 
 from lerobot_mimicik.evaluation.evaluate import Evaluation, Recording
@@ -27,6 +32,9 @@ from lerobot_mimicik.evaluation.verdict import (
 
 # Okabe and Ito's colours: told apart by colour-blind readers too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+WIDTH = 4.4  # inches of every figure: at 400 px a point of type is 1.26 px
+FONT = 8  # points: legible at that width
+_DPI, _PIXELS_PER_INCH = 150, 130
 _GREY = "#777777"
 _SHADE = "#F0E442"
 _MODE_TITLES = {"open_loop": "open loop", "closed_loop": "closed loop"}
@@ -45,16 +53,27 @@ class Plot:
         """Write `folder/name.png`; returns its path."""
         path = Path(folder) / f"{self.name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
-        self.figure.savefig(path, dpi=150)
+        path.write_bytes(self.image()[1])
         return path
+
+    def image(self) -> tuple[str, bytes]:
+        """Its media type and its bytes."""
+        buffer = io.BytesIO()
+        self.figure.savefig(buffer, format="png", dpi=_DPI)
+        return "image/png", buffer.getvalue()
+
+    @property
+    def width(self) -> int:
+        """Pixels that it takes on a page, at most: type of 8 points is as large as the text there."""
+        return round(_PIXELS_PER_INCH * self.figure.get_figwidth())
 
 
 def plot_error_distribution(evaluations: Sequence[Evaluation]) -> Plot:
     """Share of frames with at most a given position error, one panel per mode."""
     modes = _unique(one.row["mode"] for one in evaluations)
     datasets = _unique(one.row["dataset"] for one in evaluations)
-    figure = new_figure(8.6, 3.4)
-    panels = np.atleast_1d(figure.subplots(1, len(modes), sharey=True))
+    figure = new_figure(0.7 + 1.7 * len(modes) + 0.17 * math.ceil(len(evaluations) / len(modes) / 2))
+    panels = np.atleast_1d(figure.subplots(len(modes), 1, sharex=True))
     sentences = []
     for panel, mode in zip(panels, modes, strict=True):
         for one in evaluations:
@@ -76,11 +95,11 @@ def plot_error_distribution(evaluations: Sequence[Evaluation]) -> Plot:
                     f"{one.row['solver']} is within 10 mm on {one.row['sr10']:.1f} % of the frames of "
                     f"{one.row['dataset']} in {mode_title(mode)}, within 1 mm on {one.row['sr1']:.1f} %"
                 )
-        panel.set(xscale="log", xlabel="position error [mm]", title=mode_title(mode))
+        panel.set(xscale="log", ylabel="frames [%]", title=mode_title(mode))
         panel.set_xlim(0.03, None)
         panel.axvline(RETURNED_MM, color=_GREY, linewidth=0.8)
-    panels[0].set_ylabel("frames with at most this error [%]")
-    panels[-1].legend(fontsize=7, loc="best")
+    panels[-1].set_xlabel("position error at most [mm]")
+    legend_below(figure, panels[-1], 2)
     caption = "; ".join(sentences) + ". Dotted: holding still. Grey line: 10 mm." if sentences else ""
     return finished("error_distribution", "Position error over all frames", figure, _sentence(caption))
 
@@ -89,7 +108,7 @@ def plot_closed_loop_error(evaluation: Evaluation) -> Plot:
     """Position error along each trajectory of one evaluation, singular passages shaded (three at most)."""
     recording = evaluation.recording
     order = sorted(range(len(evaluation.traces)), key=lambda i: -len(evaluation.traces[i].position_mm))[:3]
-    figure = new_figure(8.6, 1.0 + 1.35 * len(order))
+    figure = new_figure(0.6 + 1.3 * len(order))
     panels = np.atleast_1d(figure.subplots(len(order), 1, sharex=True))
     outcomes = [
         returned_after(trace, passage, recording.set.fps)
@@ -144,17 +163,16 @@ def plot_passage(evaluation: Evaluation, joint_names: Sequence[str], margin_s: f
     recorded, commanded = trace.rollout.trajectory.q[frames], trace.rollout.q_cmd[frames]
 
     dof = recorded.shape[1]
-    columns = 3
+    columns = 2
     joint_rows = -(-dof // columns)
-    figure = new_figure(8.6, 1.7 * (joint_rows + 1))
+    figure = new_figure(1.25 * (joint_rows + 1))
     grid = figure.add_gridspec(joint_rows + 1, columns)
     panels = [figure.add_subplot(grid[i // columns, i % columns]) for i in range(dof)]
     for i, panel in enumerate(panels):
         panel.plot(seconds, recorded[:, i], color=_GREY, linewidth=2.4, alpha=0.6, label="recorded")
         panel.plot(seconds, commanded[:, i], color=COLOURS[1], linewidth=1.1, label=evaluation.row["solver"])
-        panel.set_title(joint_names[i], loc="left")
-    panels[0].set_ylabel("joint [rad]")
-    panels[0].legend(fontsize=7)
+        panel.set_title(f"{joint_names[i]} [rad]", loc="left")
+    legend_below(figure, panels[0], 2)
     error = figure.add_subplot(grid[joint_rows, :])
     error.plot(seconds, np.maximum(trace.position_mm[frames], 1e-3), color=COLOURS[1], linewidth=1.1)
     error.axhline(RETURNED_MM, color=_GREY, linewidth=0.8)
@@ -182,7 +200,7 @@ def plot_training(curves: Mapping[str, Curve]) -> Plot | None:
     shown = [(name, title, log) for name, title, log in wanted if name in curves]
     if not shown:
         return None
-    figure = new_figure(8.6, 4.4 if len(shown) > 2 else 2.6)
+    figure = new_figure(3.8 if len(shown) > 2 else 2.2)
     panels = np.atleast_1d(figure.subplots(-(-len(shown) // 2), min(2, len(shown)))).ravel()
     for panel, (name, title, log) in zip(panels, shown, strict=False):
         panel.plot(curves[name].steps, curves[name].values, color=COLOURS[0], linewidth=1.0, label="training")
@@ -196,7 +214,7 @@ def plot_training(curves: Mapping[str, Curve]) -> Plot | None:
                 markersize=3,
                 label="held-out episodes",
             )
-            panel.legend(fontsize=7)
+            panel.legend()
         panel.set_title(title, loc="left")
         if log and min(curves[name].values) > 0:
             panel.set_yscale("log")
@@ -219,7 +237,7 @@ def plot_training(curves: Mapping[str, Curve]) -> Plot | None:
 
 def plot_workspace(train: TrajectorySet, others: Sequence[TrajectorySet]) -> Plot:
     """Where the targets lie, from above and from the side, in the arm's base frame."""
-    figure = new_figure(8.6, 3.8)
+    figure = new_figure(2.7)
     panels = figure.subplots(1, 2)
     rng = np.random.default_rng(0)
     sets = [train, *others]
@@ -232,7 +250,7 @@ def plot_workspace(train: TrajectorySet, others: Sequence[TrajectorySet]) -> Plo
         panels[1].scatter(points[:, 0], points[:, 2], zorder=-i if i else 0, **style)
     panels[0].set(xlabel="x [m]", ylabel="y [m]", title="from above", aspect="equal")
     panels[1].set(xlabel="x [m]", ylabel="z [m]", title="from the side", aspect="equal")
-    panels[0].legend(fontsize=7, markerscale=6)
+    legend_below(figure, panels[0], 3, markerscale=6)
     tree = cKDTree(positions[train.name])
     extent = np.subtract(*np.percentile(positions[train.name], [97.5, 2.5], axis=0))
     sentences = [
@@ -279,9 +297,17 @@ def _passage_caption(evaluation: Evaluation, trace: Trace, passage: Passage, fra
     )
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of this size, inches."""
-    return Figure(figsize=(width, height), layout="constrained")
+def new_figure(height: float) -> Figure:
+    """An empty figure of this height, inches."""
+    return Figure(figsize=(WIDTH, height), layout="constrained")
+
+
+def legend_below(figure: Figure, panel: Axes, columns: int, **options: Any) -> None:
+    """What the lines of a panel are, below the whole figure."""
+    handles, labels = panel.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, fontsize=FONT, loc="outside lower center", ncols=columns, frameon=False, **options
+    )
 
 
 def finished(name: str, title: str, figure: Figure, caption: str) -> Plot:
@@ -289,6 +315,9 @@ def finished(name: str, title: str, figure: Figure, caption: str) -> Plot:
     for axes in figure.axes:
         axes.grid(alpha=0.25)
         axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(labelsize=FONT, which="both")
+        for text in axes.findobj(Text):
+            text.set_fontsize(FONT)
     return Plot(name, title, figure, caption)
 
 

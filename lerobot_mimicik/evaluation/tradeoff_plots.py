@@ -12,14 +12,12 @@ from typing import Any
 from matplotlib.artist import Artist
 from matplotlib.ticker import MaxNLocator
 
-from lerobot_mimicik.evaluation.plots import COLOURS, Plot, finished, new_figure
+from lerobot_mimicik.evaluation.plots import COLOURS, FONT, Plot, finished, new_figure
 from lerobot_mimicik.evaluation.short_table import groups, mode_words
 from lerobot_mimicik.evaluation.verdict import FAILURES
 from lerobot_mimicik.evaluation.words import FAILURE_WORDS, count_failures, describe_rows, error_key
 
-_WIDTH = 4.4  # inches: at 400 px a point of type is 1.26 px
 _MARKERS = "osD^vP*X<>hd"
-_FONT = 8
 
 
 def plot_tradeoff(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
@@ -34,7 +32,7 @@ def plot_tradeoff(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
     lines = math.ceil(len(panels) / columns)
     solvers = list(dict.fromkeys(row["solver"] for row in shown))
     legend_lines = math.ceil(len(solvers) / 3)
-    figure = new_figure(_WIDTH, 0.3 + 1.9 * lines + 0.2 * legend_lines)
+    figure = new_figure(0.3 + 1.9 * lines + 0.2 * legend_lines)
     grid = figure.subplots(lines, columns, squeeze=False).ravel()
     for panel, (_, members) in zip(grid, panels, strict=False):
         for row in members:
@@ -54,14 +52,14 @@ def plot_tradeoff(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
                 label=row["solver"],
             )
         panel.set(xscale="log", yscale="log")
-        panel.set_title(f"{members[0]['dataset']}\n{mode_words(members[0]['mode'])}", fontsize=_FONT)
-        panel.tick_params(labelsize=_FONT, which="both")
+        panel.set_title(f"{members[0]['dataset']}\n{mode_words(members[0]['mode'])}", fontsize=FONT)
+        panel.tick_params(labelsize=FONT, which="both")
         panel.minorticks_off()
     for panel in grid[len(panels) :]:
         panel.remove()
     for panel in grid[max(0, len(panels) - columns) : len(panels)]:
-        panel.set_xlabel("mean error [mm]", fontsize=_FONT)
-    figure.supylabel("jerk, RMS [rad/s³]", fontsize=_FONT)
+        panel.set_xlabel("mean error [mm]", fontsize=FONT)
+    figure.supylabel("jerk, RMS [rad/s³]", fontsize=FONT)
     handles: dict[str, Artist] = {}
     for panel in grid[: len(panels)]:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
@@ -69,7 +67,7 @@ def plot_tradeoff(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
     figure.legend(
         list(handles.values()),
         list(map(str, handles)),
-        fontsize=_FONT,
+        fontsize=FONT,
         loc="outside lower center",
         ncols=3,
         frameon=False,
@@ -88,7 +86,7 @@ def plot_failures(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
     if not counts:
         return None
     names = list(counts)
-    figure = new_figure(_WIDTH, 0.9 + 0.24 * len(names))
+    figure = new_figure(0.9 + 0.24 * len(names))
     panel = figure.subplots()
     begin = [0] * len(names)
     for number, kind in enumerate(FAILURES):
@@ -96,11 +94,11 @@ def plot_failures(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
         panel.barh(names, values, left=begin, color=COLOURS[number % len(COLOURS)], label=kind, height=0.7)
         begin = [a + b for a, b in zip(begin, values, strict=True)]
     panel.invert_yaxis()
-    panel.tick_params(labelsize=_FONT)
-    panel.set_xlabel("failed recordings", fontsize=_FONT)
+    panel.tick_params(labelsize=FONT)
+    panel.set_xlabel("failed recordings", fontsize=FONT)
     panel.set_xlim(0, max([*begin, 1]))
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-    figure.legend(fontsize=_FONT, loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(fontsize=FONT, loc="outside lower center", ncols=3, frameon=False)
     kinds = "; ".join(f"{kind}: {why}" for kind, why in FAILURE_WORDS.items())
     total = sum(sum(one.values()) for one in counts.values())
     return finished("failures", "Failures by kind", figure, f"{total} recordings failed in all. {kinds}.")

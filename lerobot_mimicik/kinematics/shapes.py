@@ -9,10 +9,13 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import Pose, array_chain, compose, rotation_from_rpy
 from lerobot_mimicik.kinematics.urdf import Joint, read_urdf
+
+_BONE, _KNUCKLE = 0.012, 0.02  # radii of what stands for a body without shapes, as fractions of the reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +62,23 @@ def read_shapes(description: ArmDescription, purpose: str = "collision", moving:
                 shapes = _shapes_of(links[name], "collision", body, at, colours)
             found += shapes
     return found
+
+
+def drawn_shapes(description: ArmDescription) -> list[Shape]:
+    """What an arm looks like: its URDF's primitives, and from joint to joint a bone where a body has none."""
+    chain = array_chain(description)
+    shapes = read_shapes(description, "visual", moving=True)
+    reach = chain.stretched_length(0)
+    bare = set(range(chain.dof + 1)) - {shape.body for shape in shapes}
+    for body in sorted(bare):
+        end = (chain.tool if body == chain.dof else chain.steps[body])[1]
+        if body:
+            shapes.append(Shape("sphere", (_KNUCKLE * reach,), body, (np.eye(3), np.zeros(3))))
+        length = float(np.linalg.norm(end))
+        if length > 1e-6:
+            pose = (_towards(end / length), end / 2)
+            shapes.append(Shape("capsule", (_BONE * reach, length), body, pose))
+    return shapes
 
 
 def _shapes_of(
@@ -133,3 +153,8 @@ def _numbers(element: ElementTree.Element, key: str, count: int) -> tuple[float,
     if len(values) != count or not np.isfinite(values).all():
         raise ValueError(f"shape of the URDF: {key}={text!r} is not made of {count} finite numbers")
     return values
+
+
+def _towards(direction: np.ndarray) -> np.ndarray:
+    """A rotation that takes z onto a unit direction."""
+    return Rotation.align_vectors(direction[None], np.array([[0.0, 0.0, 1.0]]))[0].as_matrix()

@@ -165,6 +165,7 @@ MODULES = {
     "relaxed_ik": "relaxed_ik",
     "remote": "remote",
     "ssik": "ssik",
+    "undamped": "undamped",
     **dict.fromkeys(LEARNED, "mimicik"),
 }
 _FACTORIES: dict[str, SolverFactory] = {}
@@ -212,9 +213,9 @@ def _factory(name: str) -> SolverFactory:
     return _FACTORIES[name]
 
 
-def available_solvers() -> dict[str, str | None]:
-    """Every known solver, sorted: None where its packages are here, else why it cannot run and the remedy."""
-    return {name: _why_unavailable(name) for name in known_solvers()}
+def available_solvers(names: Iterable[str] | None = None) -> dict[str, str | None]:
+    """Known solvers, all of them unless named: None where its packages are here, else why it cannot run and the remedy."""
+    return {name: _why_unavailable(name) for name in (known_solvers() if names is None else names)}
 
 
 def _why_unavailable(name: str) -> str | None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from lerobot_mimicik.data.arm_arrays import Array
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
-from lerobot_mimicik.kinematics.shapes import Shape, read_shapes
+from lerobot_mimicik.kinematics.shapes import Shape, drawn_shapes
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -20,29 +20,11 @@ if TYPE_CHECKING:
 Colour = tuple[int, int, int]
 """Red, green and blue from 0 to 255."""
 
-_BONE, _KNUCKLE = 0.012, 0.02  # radii of what stands for a body without shapes, as fractions of the reach
 _GREY = (0.75, 0.76, 0.78)  # of shapes without a colour of their own
 _TINT = 0.35  # how much of a solver's colour the solid arm takes on
 _GHOST = 0.4  # opacity
 _PATH_M = 0.004  # thickness of the solid arm's path
 _THINNER = 0.04  # by which a ghost is, so that it lies within the arms before it where they agree
-
-
-def drawn_shapes(description: ArmDescription) -> list[Shape]:
-    """What an arm looks like: its URDF's primitives, and from joint to joint a bone where a body has none."""
-    chain = array_chain(description)
-    shapes = read_shapes(description, "visual", moving=True)
-    reach = chain.stretched_length(0)
-    bare = set(range(chain.dof + 1)) - {shape.body for shape in shapes}
-    for body in sorted(bare):
-        end = (chain.tool if body == chain.dof else chain.steps[body])[1]
-        if body:
-            shapes.append(Shape("sphere", (_KNUCKLE * reach,), body, (np.eye(3), np.zeros(3))))
-        length = float(np.linalg.norm(end))
-        if length > 1e-6:
-            pose = (_towards(end / length), end / 2)
-            shapes.append(Shape("capsule", (_BONE * reach, length), body, pose))
-    return shapes
 
 
 class DrawnArm:
@@ -151,8 +133,3 @@ def pose_of(position: Array, wxyz: Array) -> Array:
 
 def _wxyz(rotation: Array) -> Array:
     return Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
-
-
-def _towards(direction: Array) -> Array:
-    """A rotation that takes z onto a unit direction."""
-    return Rotation.align_vectors(direction[None], np.array([[0.0, 0.0, 1.0]]))[0].as_matrix()
