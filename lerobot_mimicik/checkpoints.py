@@ -102,6 +102,11 @@ def find_checkpoint(path: str) -> str:
         raise FileNotFoundError(
             f"{path} holds no checkpoint: expected config.json in it, or in {' or '.join(inside[1:])} below."
         )
+    if folder.is_file():
+        raise FileNotFoundError(
+            f"{path} is a file, a checkpoint is a folder. A file of `mimicik export` is taken by "
+            "MimicIKAdapter.from_pretrained, by ik.path of robots and commands, and as an engine."
+        )
     if looks_like_path(path):
         raise FileNotFoundError(
             f"The checkpoint {path} does not exist: there is no such folder, and it does not look like a Hub "

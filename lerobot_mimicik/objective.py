@@ -21,11 +21,13 @@ class Objective[Network: nn.Module](ABC):
         name: What its loss is called in the log.
         draws: Standard normal vectors of an action's width that drawing an action takes.
         random: Whether an action depends on them.
+        times: All (s, t) at which drawing an action asks a `FlowGenerator`.
     """
 
     name: str
     draws: int = 1
     random: bool = False
+    times: tuple[tuple[float, float], ...] = ()
 
     @abstractmethod
     def loss(self, network: Network, obs: Tensor, action: Tensor, noise: Tensor, time: Tensor) -> Tensor:
@@ -68,6 +70,7 @@ class MinimalIterativePolicy(Objective[FlowGenerator]):
 
     def __init__(self, t_star: float = 0.9):
         self.t_star = t_star
+        self.times = ((0.0, 0.0), (t_star, t_star))
 
     def loss(
         self, network: FlowGenerator, obs: Tensor, action: Tensor, noise: Tensor, time: Tensor
@@ -91,6 +94,7 @@ class FlowMatching(Objective[FlowGenerator]):
 
     def __init__(self, n_steps: int = 10):
         self.n_steps = n_steps
+        self.times = tuple((i * (1 / n_steps),) * 2 for i in range(n_steps))
 
     def loss(
         self, network: FlowGenerator, obs: Tensor, action: Tensor, noise: Tensor, time: Tensor
@@ -110,6 +114,7 @@ class Regression(Objective[FlowGenerator]):
     """One deterministic step a = f(0, 0, 0 | o), under a squared error."""
 
     name = "regression"
+    times = ((0.0, 0.0),)
 
     def loss(
         self, network: FlowGenerator, obs: Tensor, action: Tensor, noise: Tensor, time: Tensor

@@ -171,8 +171,8 @@ class MimicIKAdapter:
 
     @classmethod
     def from_pretrained(cls, path: str | Path, device: str = "cpu", **settings: Any) -> MimicIKAdapter:
-        """Load a checkpoint: weights in the package by their arm's name, a folder, a training run's output folder, or a
-        Hub repository.
+        """Load a checkpoint: weights in the package by their arm's name, a folder, a training run's output folder, a Hub
+        repository, or a file of `mimicik export`, which needs neither torch nor LeRobot.
 
         Args:
             path: Where it is.
@@ -181,9 +181,12 @@ class MimicIKAdapter:
 
         Raises:
             FileNotFoundError, TypeError: If there is no checkpoint, or it is another policy's.
+            ValueError, EngineUnavailable: As `StepFile.load`.
         """
         from lerobot_mimicik.checkpoints import find_checkpoint, load_policy
 
+        if str(path).endswith(".onnx"):
+            return cls._exported(path, settings)
         folder = str(path) if str(path) in shipped() else find_checkpoint(str(path))
         if folder in shipped() or is_foresight(folder):
             return cls.for_arm(load_weights(folder).description, folder, **settings)
@@ -194,6 +197,15 @@ class MimicIKAdapter:
         description = policy.config.arm_description()
         solver = MimicIKSolver(SerialArm(description), policy)
         adapter = cls(solver, description, AdapterSettings.of(settings))
+        adapter.warm_up()
+        return adapter
+
+    @classmethod
+    def _exported(cls, path: str | Path, settings: dict[str, Any]) -> MimicIKAdapter:
+        from lerobot_mimicik.solvers.exported import ExportedSolver
+
+        solver = ExportedSolver(Path(path).expanduser())
+        adapter = cls(solver, solver.description, AdapterSettings.of(settings))
         adapter.warm_up()
         return adapter
 

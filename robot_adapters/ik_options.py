@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 class IKOptions:
     """What proposes joints beside the guided solver, and how commands are judged; see `AdapterSettings`."""
 
-    # MimicIK checkpoint: a folder, a training run's output folder, or a Hub repository; or an arm whose foresight is in
-    # the package (airbot_play). Empty or none: the guided solver alone.
+    # MimicIK checkpoint: a folder, a training run's output folder, a Hub repository, or a file of mimicik export; or an
+    # arm whose foresight is in the package (airbot_play). Empty or none: the guided solver alone.
     path: str = ""
     # In its place, an IK server on this or another computer (mimicik serve): tcp://HOST:PORT.
     address: str = ""

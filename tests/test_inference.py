@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
+from lerobot_mimicik.inference.engine import EngineUnavailable
 from lerobot_mimicik.inference.engines import ENGINES, make_engine
 from lerobot_mimicik.inference.noise import query_normal
 from lerobot_mimicik.inference.single import SingleQuery
@@ -25,6 +26,7 @@ def test_same_answer_as_the_policy(engine, objective, conditioning):
         n_heads=2,
         d_ff=32,
         objective=objective,
+        flow_steps=3,
         conditioning=conditioning,
         device="cpu",
     )
@@ -32,6 +34,9 @@ def test_same_answer_as_the_policy(engine, objective, conditioning):
     with torch.no_grad():
         for parameter in policy.average.network.parameters():
             parameter.normal_(std=0.05)
+    if engine == "onnx":
+        pytest.importorskip("onnxruntime")
+        pytest.importorskip("onnx")
     single, rng = SingleQuery.of(policy, engine), np.random.default_rng(1)
     for _ in range(5):
         q = rng.uniform(policy.arm.lower, policy.arm.upper, (2, 6))
@@ -68,19 +73,20 @@ def test_auto_takes_the_fastest_engine_that_is_installed_and_agrees(monkeypatch)
     class Missing:
         @staticmethod
         def make(policy):
-            raise ModuleNotFoundError("no such library")
+            raise EngineUnavailable("no such library")
 
     monkeypatch.setitem(sys.modules, "wrong_engine", Wrong)
     monkeypatch.setitem(sys.modules, "missing_engine", Missing)
-    table = {"missing": "missing_engine", "wrong": "wrong_engine", **ENGINES}
+    table = {"missing": "missing_engine", "wrong": "wrong_engine"}
+    table |= {name: ENGINES[name] for name in ("traced", "eager")}
     monkeypatch.setattr("lerobot_mimicik.inference.engines.ENGINES", table)
     policy = tiny_policy()
     assert make_engine(policy)[0] == "traced"
     with pytest.raises(ValueError, match="'wrong' disagrees with the policy"):
         make_engine(policy, "wrong")
-    with pytest.raises(ModuleNotFoundError):
+    with pytest.raises(EngineUnavailable):
         make_engine(policy, "missing")
-    with pytest.raises(ValueError, match="expected one of auto, missing, wrong, traced, eager"):
+    with pytest.raises(ValueError, match="expected one of auto, missing, wrong, traced, eager, or a file"):
         make_engine(policy, "tarced")
 
 

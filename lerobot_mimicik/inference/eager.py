@@ -9,7 +9,7 @@ import torch
 from lerobot_mimicik.inference.step import JointStep
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.inference.engines import Array, Engine
+    from lerobot_mimicik.inference.engine import Array, Engine
     from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 
 

@@ -1,42 +1,44 @@
 """What computes a policy's step: the engines by name, fastest first. No torch is imported here.
 
-A new engine is a module with `make(policy)`, which raises ModuleNotFoundError where its library is not installed, and
-a line in `ENGINES`.
+A new engine is a module with `make(policy)`, which raises `EngineUnavailable` where it cannot run, and a line in
+`ENGINES`.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lerobot_mimicik.inference.engine import TOLERANCE, Engine, EngineUnavailable, disagreement
+from lerobot_mimicik.inference.facts import StepFacts
+from lerobot_mimicik.inference.onnx_file import StepFile
 from lerobot_mimicik.kinematics.names import did_you_mean
 
 if TYPE_CHECKING:
     from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 
-Array = NDArray[np.floating]
-Engine = Callable[[Array, Array], Array]
-"""Frames, float64 (T_o, dof + 14), and noise, float32 (1, draws * dof), to a step [rad], float64 (dof,); see `step`."""
-
 ENGINES = {
+    "onnx": "lerobot_mimicik.inference.onnx_engine",
     "traced": "lerobot_mimicik.inference.traced",
     "eager": "lerobot_mimicik.inference.eager",
 }
 AUTO = "auto"
-TOLERANCE = 1e-5  # rad by which an engine may differ from the policy: a hundredth of a millimetre at the tool
-_QUERIES = 3  # that engines are compared by
 
 
 def check_engine(name: str) -> str:
-    """The name itself; ValueError for one that is no engine, with those that are."""
-    if name not in (AUTO, *ENGINES):
-        known = [AUTO, *ENGINES]
-        raise ValueError(f"engine={name!r}: expected one of {', '.join(known)}." + did_you_mean(name, known))
+    """The name itself; ValueError for one that is no engine and no file, with those that are."""
+    known = [AUTO, *ENGINES]
+    if name not in known and not _is_file(name):
+        raise ValueError(
+            f"engine={name!r}: expected one of {', '.join(known)}, or a file of `mimicik export`."
+            + did_you_mean(name, known)
+        )
     return name
+
+
+def _is_file(name: str) -> bool:
+    return name.endswith(".onnx") and Path(name).is_file()
 
 
 def make_engine(policy: LearnedIKPolicy, name: str = AUTO) -> tuple[str, Engine]:
@@ -44,15 +46,16 @@ def make_engine(policy: LearnedIKPolicy, name: str = AUTO) -> tuple[str, Engine]
 
     Args:
         policy: On the device where it shall run.
-        name: One of `ENGINES`, or `auto`: the fastest that is installed and agrees with the policy.
+        name: One of `ENGINES`, a file of `mimicik export`, or `auto`: the fastest that is installed and agrees with the
+            policy.
 
     Raises:
         ValueError: There is no such engine, or the one asked for disagrees by more than `TOLERANCE`.
-        ModuleNotFoundError: The library of the one asked for is not installed.
+        EngineUnavailable: The one asked for cannot run here.
     """
     check_engine(name)
     if name != AUTO:
-        engine = importlib.import_module(ENGINES[name]).make(policy)
+        engine = _from_file(policy, name) if _is_file(name) else _made(policy, name)
         apart = disagreement(policy, engine)
         if not apart <= TOLERANCE:
             raise ValueError(
@@ -60,31 +63,30 @@ def make_engine(policy: LearnedIKPolicy, name: str = AUTO) -> tuple[str, Engine]
                 f"make it again from this checkpoint, or take engine={AUTO!r}."
             )
         return name, engine
-    for each, module in ENGINES.items():
+    for each in ENGINES:
         try:
-            engine = importlib.import_module(module).make(policy)
-        except ModuleNotFoundError:
+            engine = _made(policy, each)
+        except EngineUnavailable:
             continue
         if disagreement(policy, engine) <= TOLERANCE:
             return each, engine
     raise ValueError(f"none of the engines {', '.join(ENGINES)} agrees with the policy.")
 
 
-def disagreement(policy: LearnedIKPolicy, engine: Engine) -> float:
-    """The largest difference [rad] between an engine's steps and the policy's, over a few queries near its home."""
-    from lerobot_mimicik.inference import eager
-    from lerobot_mimicik.kinematics.point_chain import point_chain
+def _made(policy: LearnedIKPolicy, name: str) -> Engine:
+    return importlib.import_module(ENGINES[name]).make(policy)
 
-    reference, config, random = eager.make(policy), policy.config, np.random.default_rng(0)
-    chain = point_chain(config.arm_description())
-    lower, upper = (bound.double().cpu().numpy() for bound in (policy.arm.lower, policy.arm.upper))
-    worst = 0.0
-    for _ in range(_QUERIES):
-        q = random.uniform(lower, upper, config.dof) + random.normal(
-            0.0, 0.01, (config.n_obs_steps, config.dof)
-        )
-        targets = np.array([chain.pose(each + 0.01) for each in q])
-        frames = np.concatenate([q, np.array([chain.pose(each) for each in q]), targets], axis=-1)
-        noise = random.normal(size=(1, policy.objective.draws * config.dof)).astype(np.float32)
-        worst = max(worst, float(np.abs(engine(frames, noise) - reference(frames, noise)).max()))
-    return worst
+
+def _from_file(policy: LearnedIKPolicy, path: str) -> Engine:
+    """The engine in an exported file; ValueError where it is another arm's or looks at another history."""
+    file, facts = StepFile.load(path), StepFacts.of(policy)
+    for what, theirs, own in (
+        ("joints", file.facts.description.joint_names, facts.description.joint_names),
+        ("frames of history", file.facts.steps, facts.steps),
+        ("random numbers", file.facts.width, facts.width),
+    ):
+        if theirs != own:
+            raise ValueError(
+                f"engine={path!r} was made from another policy: its {what} are {theirs}, expected {own}"
+            )
+    return file.engine

@@ -12,25 +12,23 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from lerobot_mimicik.inference.step import JointStep
+from lerobot_mimicik.inference.step import JointStep, example_inputs
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.inference.engines import Array, Engine
+    from lerobot_mimicik.inference.engine import Array, Engine
     from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 
 
 def make(policy: LearnedIKPolicy) -> Engine:
     """The policy's step, traced and frozen where its weights are."""
-    device, dof = policy.delta.lower.device, policy.config.dof
-    frames = torch.zeros(policy.config.n_obs_steps, dof + 14, dtype=torch.float64)
-    frames[:, [-8, -1]] = 1.0
-    noise = torch.zeros(1, policy.objective.draws * dof)
+    device, example = policy.delta.lower.device, example_inputs(policy)
     with torch.no_grad(), warnings.catch_warnings():
         # torch announces that tracing will give way to export; the Python floor of this project has it.
         warnings.simplefilter("ignore", DeprecationWarning)
         warnings.simplefilter("ignore", torch.jit.TracerWarning)  # shapes are the same in every query
-        example = (frames.to(device), noise.to(device))
-        step = torch.jit.freeze(torch.jit.trace(JointStep(policy).eval(), example, check_trace=False))
+        step = torch.jit.freeze(
+            torch.jit.trace(JointStep(policy, fold=True).eval(), example, check_trace=False)
+        )
 
     def run(frames: Array, noise: Array) -> Array:
         with torch.inference_mode():
