@@ -13,6 +13,7 @@ Products of weights are made in double precision, so that rounding is all that r
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 import torch.nn.functional as F  # noqa: N812
@@ -33,8 +34,9 @@ class FoldedGenerator(nn.Module):
             times: All (s, t) that it will be asked for.
         """
         super().__init__()
-        flow, self._rows = network.flow_map, {pair: row for row, pair in enumerate(times)}
-        first, second = network.encoder.layers, flow.project_condition
+        self._rows = {pair: row for row, pair in enumerate(times)}
+        flow: Any = network.flow_map  # nn.Module does not say what its containers hold
+        first, second = list(network.encoder.layers), list(flow.project_condition)
         self.observe = nn.Sequential(
             *first[:-1], _product(_linear(second[0]), _linear(first[-1])), *second[1:]
         )
@@ -46,7 +48,7 @@ class FoldedGenerator(nn.Module):
         self.modulate_final = _scales_from_one(_linear(flow.final.modulation[1]), 2)
         self.project, self.final = _copy(flow.project_action), _copy(flow.final.linear)
         with torch.no_grad():
-            self.project.bias += flow.position[0, 0]
+            self.project.bias.add_(flow.position[0, 0])
         moments = torch.tensor(list(times), dtype=flow.frequencies.dtype, device=flow.frequencies.device)
         embedded = torch.cat([flow._embed(moments[:, 0]), flow._embed(moments[:, 1])], dim=-1)
         self.register_buffer("times_embedded", embedded[:, None])
@@ -77,7 +79,7 @@ class _FoldedEncoder(nn.Module):
         super().__init__()
         self.attend = _attention(block.attention)
         with torch.no_grad():
-            self.attend.weight += torch.eye(len(self.attend.weight), device=self.attend.weight.device)
+            self.attend.weight.add_(torch.eye(len(self.attend.weight), device=self.attend.weight.device))
         self.norm_attention, self.norm_feed_forward = block.norm_attention, block.norm_feed_forward
         self.feed_forward = block.feed_forward
 

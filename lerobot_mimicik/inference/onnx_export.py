@@ -41,7 +41,7 @@ def graph(policy: LearnedIKPolicy) -> bytes:
         torch.onnx.export(
             JointStep(policy, fold=True).eval(),
             example,
-            made,
+            made,  # type: ignore[arg-type] # a file that is open, which the older exporter takes
             dynamo=False,
             opset_version=_OPSET,
             input_names=["frames", "noise"],

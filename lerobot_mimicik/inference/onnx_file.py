@@ -107,7 +107,7 @@ def _step_range(told: dict[str, str]) -> tuple[Array, Array] | None:
 def _checks(told: dict[str, str], facts: StepFacts) -> list[tuple[Array, NDArray[np.float32], Array]]:
     """Frames, noise and the policy's steps."""
     dof = len(facts.description.joint_names)
-    checks = [
+    checks: list[tuple[Array, NDArray[np.float32], Array]] = [
         (
             np.array(frames, dtype=float).reshape(facts.steps, dof + 14),
             np.array(noise, dtype=np.float32).reshape(1, facts.width),
