@@ -6,7 +6,6 @@ target T_base_tool, upcoming ─────────────────
 
 from __future__ import annotations
 
-import enum
 import threading
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.foresight.foresight import Foresight
 from lerobot_mimicik.foresight.weights import is_foresight, load_weights, shipped
-from lerobot_mimicik.guidance.approach import towards
-from lerobot_mimicik.guidance.certificate import Certificate, Reason
+from lerobot_mimicik.guidance.certificate import Reason
 from lerobot_mimicik.guidance.guided import Guidance
 from lerobot_mimicik.guidance.model import arm_model
 from lerobot_mimicik.guidance.settings import GuidanceSettings
@@ -29,6 +27,8 @@ from lerobot_mimicik.kinematics.poses import PolicyFrames, decode_pose, pose_dis
 from lerobot_mimicik.kinematics.poses import PoseFormat as PoseFormat
 from lerobot_mimicik.solvers.base import IKSolver
 from robot_adapters.arrays import float_array
+from robot_adapters.ik_result import IKResult, IKStatus
+from robot_adapters.solver_proposals import SolverProposals
 
 if TYPE_CHECKING:
     from robot_adapters.end_effector_policy import EndEffectorPolicy
@@ -36,61 +36,6 @@ if TYPE_CHECKING:
 _WARM_UP = 4  # queries; the tracer optimises at the second and third
 _STATUS = {Reason.STEP: "limited", Reason.SMOOTHNESS: "inexact"}
 Array = NDArray[np.float64]
-
-
-class IKStatus(enum.StrEnum):
-    """What became of a target.
-
-    REACHED: the command meets it within the tolerances, whoever found the command; a command that meets its
-    target has no other status, but for FAILED. What counts is what `orientation` asks for: on an arm that cannot
-    serve every direction (five joints), the position; the message names the turn that is missing.
-    INEXACT (once called RELAXED, which still names it): it is in reach within one step, and the command comes
-    near it.
-    LIMITED: it is in reach, but further away than one step; the command is a step towards it, or towards
-    another configuration from which it can be followed.
-    UNREACHABLE: it cannot be reached from here: no configuration around the present one meets it, and the
-    command goes towards the closest. One far away may: this is no statement about the whole workspace.
-    FAILED: the target is no pose or cannot be one of this arm, or the solver raised an error or answered
-    with no joints; the command holds.
-    """
-
-    REACHED = "reached"
-    INEXACT = "inexact"
-    LIMITED = "limited"
-    UNREACHABLE = "unreachable"
-    FAILED = "failed"
-    RELAXED = INEXACT  # the former name
-
-    @classmethod
-    def _missing_(cls, value: object) -> IKStatus | None:
-        return cls.INEXACT if value == "relaxed" else None
-
-
-@dataclass(frozen=True)
-class IKResult:
-    """The answer to one target.
-
-    Attributes:
-        q: Joint command [rad], (dof,), never further than the settings' `max_step` from where it started; the
-            caller's own.
-        status: What became of the target.
-        position_error, rotation_error: Between FK(q) and the target [m, rad]; NaN where the target is no pose
-            of this arm.
-        step: Largest joint motion of the command [rad].
-        source: Who found the command: `guided`, the solver's name where guidance trusted it, `branch` on the way to
-            another branch of the inverse kinematics, or `hold`.
-        message: In words; when reached, the orientation that the arm cannot serve, or nothing.
-        certificate: Why it does not meet the target, and the margins; None where the command holds.
-    """
-
-    q: Array
-    status: IKStatus
-    position_error: float
-    rotation_error: float
-    step: float
-    source: str
-    message: str = ""
-    certificate: Certificate | None = None
 
 
 @dataclass(frozen=True)
@@ -142,7 +87,8 @@ class MimicIKAdapter:
         self.settings = settings or AdapterSettings()
         self.chain = point_chain(description)
         self.lower, self.upper = joint_limits(description)
-        self._lower_step, self._upper_step = _step_range(self.settings, solver)
+        largest = np.array([self.settings.max_translation] * 3 + [self.settings.max_rotation] * 3)
+        self._proposals = None if solver is None else SolverProposals(solver, self.chain, largest)
         self._lock = threading.RLock()
         self._command: Array | None = None
         self._solver_knows = False  # whether the solver's history ends at the command in force
@@ -391,40 +337,17 @@ class MimicIKAdapter:
     def _restart(self, q: Array) -> None:
         """Guidance and solver begin anew at `q` (dof,): their history is of another motion, or lost."""
         self._guidance.reset(q)
-        self._restart_solver(q)
+        if self._proposals is not None:
+            self._proposals.restart(q)
         self._solver_knows = True
 
-    def _restart_solver(self, q: Array) -> None:
-        if self.solver is not None:
-            self.solver.reset(q[None].copy() if self.solver.batched else q.copy())
-            self._lower_step, self._upper_step = _step_range(self.settings, self.solver)
-
-    def _ask(self, start: Array, target: Array) -> Array:
-        """The solver's joints (dof,), finite; whatever it raises, and TypeError or ValueError for others."""
-        assert self.solver is not None
-        if self.solver.batched:
-            answer = float_array(self.solver.solve(start[None].copy(), target[None].copy()))
-            answer = answer[0] if len(answer) == 1 else answer
-        else:
-            answer = float_array(self.solver.solve(start.copy(), target.copy()))
-        if answer.shape != start.shape:
-            raise ValueError(f"answered with shape {answer.shape}, expected {len(start)} joints")
-        if not np.isfinite(answer).all():
-            raise ValueError(f"answered {answer.tolist()}")
-        return answer
-
-    def _prior(self, start: Array, target: Array) -> Array:
-        """What the solver would do: it is asked for at most one step's worth of the way."""
-        waypoint, _ = towards(self.forward(start), target, self._lower_step, self._upper_step)
-        return self._ask(start, waypoint)
-
     def _solve(self, start: Array, target: Array, upcoming: Array | None) -> IKResult:
-        prior = None if self.solver is None else self._prior
+        prior = None if self._proposals is None else self._proposals.towards
         solution = self._guidance.solve(start, target, upcoming, prior)
         found = solution.certificate
-        if solution.changing:
+        if solution.changing and self._proposals is not None:
             # The solver begins anew: its history lies in the other branch.
-            self._restart_solver(solution.q)
+            self._proposals.restart(solution.q)
         source = self._name if found.source == "prior" else found.source
         if found.reached:
             status, message = IKStatus.REACHED, str(found)
@@ -453,14 +376,3 @@ def _numbers(values: ArrayLike, what: str) -> Array:
         return float_array(values)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{what}: {error}") from error
-
-
-def _step_range(settings: AdapterSettings, solver: IKSolver | None) -> tuple[Array, Array]:
-    """Smallest and largest pose step (6,) [m, rad] that the solver is asked for at once."""
-    largest = np.array([settings.max_translation] * 3 + [settings.max_rotation] * 3)
-    if solver is None or solver.step_range is None:
-        return -largest, largest
-    lower, upper = solver.step_range
-    # An axis that training left out must not keep targets from being approached at all.
-    least = 0.1 * largest
-    return -np.clip(-lower, least, largest), np.clip(upper, least, largest)

@@ -1,144 +1,37 @@
-"""LeRobot processor steps with MimicIK inside.
+"""LeRobot processor steps with MimicIK inside, for the checkpoint of an end-effector policy.
 
-`MimicIKEEToJoints` stands where LeRobot's `InverseKinematicsEEToJoints` does, between a pose and a robot that
-takes joints. `JointsToEEState` and `EEActionToJoints` go into the checkpoint of an end-effector policy, before
-and after it, so that it drives a joint-space robot: see `robot_adapters.wrapping`. None of these is in LeRobot's
-registry: they are found by their import path, also where plugins are not imported.
+`JointsToEEState` and `EEActionToJoints` go before and after the policy, so that it drives a joint-space robot: see
+`robot_adapters.wrapping`. None of these is in LeRobot's registry: they are found by their import path, also where
+plugins are not imported. `MimicIKEEToJoints`, the step of a robot's pipeline, is here for users' imports.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from lerobot.configs import FeatureType, PipelineFeatureType, PolicyFeature
-from lerobot.lerobot_types import EnvTransition, RobotAction, TransitionKey
+from lerobot.configs import PipelineFeatureType, PolicyFeature
+from lerobot.lerobot_types import EnvTransition, TransitionKey
 from lerobot.processor import (
     AbsoluteActionsProcessorStep,
     ObservationProcessorStep,
     RelativeActionsProcessorStep,
-    RobotActionProcessorStep,
 )
 from lerobot.utils.constants import OBS_ENV_STATE, OBS_STATE
 from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
-from lerobot_mimicik.kinematics.plausibility import check_plausible
 from lerobot_mimicik.kinematics.poses import IDENTITY, PolicyFrames, PoseFormat
 from lerobot_mimicik.weights import load_tensors
 from robot_adapters.adapter import AdapterSettings, IKResult, MimicIKAdapter
-from robot_adapters.kinematics import MimicIKKinematics
+from robot_adapters.ee_to_joints import MimicIKEEToJoints as MimicIKEEToJoints
+from robot_adapters.joint_units import check_joints, check_unit, to_rad
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
-_POSE = ("x", "y", "z", "wx", "wy", "wz")
-_LONGEST_TURN = 4 * np.pi
-"""rad: no rotation needs a vector longer than half a turn, sums of small turns reach some; degrees exceed it."""
-
-
-@dataclass
-class MimicIKEEToJoints(RobotActionProcessorStep):
-    """`ee.x .. ee.wz` (position in m, rotation vector in rad) and `ee.gripper_pos` to `<joint>.pos`.
-
-    The contract of `InverseKinematicsEEToJoints`, and its keywords, but: joints are taken by name, in any order; the
-    gripper may have any name, or be absent; joints are in radians or degrees; and `result` says what became of the pose.
-
-    Attributes:
-        adapter: The arm's inverse kinematics.
-        motor_names: The robot's motors, in its order; those that are not the arm's joints pass through (one
-            gripper at most).
-        joint_units: `rad` or `deg`, of the robot; it has no default but with `MimicIKKinematics`, which counts in
-            degrees.
-        kinematics: In place of `adapter`: the same, or the arm's `MimicIKKinematics`.
-        initial_guess_current_joints: LeRobot's keyword for the joints that a step starts from: True sets the
-            adapter's `reference` to `measured`, False to `commanded`; None leaves it.
-        orientation_weight: LeRobot's keyword; 0 leaves the orientation free, with `MimicIKKinematics` alone.
-        result: What became of the last pose; None before.
-    """
-
-    adapter: MimicIKAdapter = None  # type: ignore[assignment]
-    motor_names: list[str] = field(default_factory=list)
-    joint_units: str = ""
-    kinematics: MimicIKAdapter | MimicIKKinematics | None = None
-    initial_guess_current_joints: bool | None = None
-    orientation_weight: float = 0.01
-    result: IKResult | None = field(default=None, init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        if isinstance(self.kinematics, MimicIKKinematics):
-            self.kinematics = self.kinematics.make_adapter(self.orientation_weight)
-            self.joint_units = self.joint_units or "deg"
-        given = [each for each in (self.adapter, self.kinematics) if each is not None]
-        if len(given) != 1 or not isinstance(given[0], MimicIKAdapter):
-            found = " and ".join(type(each).__name__ for each in given) or "none"
-            raise TypeError(
-                f"expected one MimicIKAdapter as adapter (or kinematics), got {found}; "
-                "MimicIKAdapter.from_pretrained(checkpoint) or MimicIKAdapter.for_arm(arm) makes one, "
-                "robot_adapters.kinematics.MimicIKKinematics(urdf) does as well, and placo is not needed"
-            )
-        self.adapter = self.kinematics = given[0]
-        if self.initial_guess_current_joints is not None:
-            reference = "measured" if self.initial_guess_current_joints else "commanded"
-            self.adapter.settings = replace(self.adapter.settings, reference=reference)
-        missing = [name for name in self.adapter.joint_names if name not in self.motor_names]
-        others = [name for name in self.motor_names if name not in self.adapter.joint_names]
-        if missing or len(others) > 1:
-            raise ValueError(
-                f"the checkpoint drives {list(self.adapter.joint_names)}; motor_names {self.motor_names} lack "
-                f"{missing} and have {others} besides (expected one gripper at most)"
-            )
-        _check_units(self.joint_units)
-        self._gripper = others[0] if others else None
-
-    def action(self, action: RobotAction) -> RobotAction:
-        """Replaces the pose by joints.
-
-        Raises:
-            KeyError: A number of the pose, or a joint of the observation, is missing.
-            ValueError: Joints or a rotation that are in another unit, as far as that can be seen.
-        """
-        keys = [f"ee.{name}" for name in _POSE] + (["ee.gripper_pos"] if self._gripper else [])
-        missing = [key for key in keys if action.get(key) is None]
-        if missing:
-            raise KeyError(f"the action lacks {missing}; it has {sorted(action)}")
-        observation = self.transition.get(TransitionKey.OBSERVATION) or {}
-        joints = [f"{name}.pos" for name in self.adapter.joint_names]
-        if any(key not in observation for key in joints):
-            raise KeyError(
-                f"the observation has {sorted(observation)}; expected the measured joints {joints}"
-            )
-        to_rad = _to_rad(self.joint_units)
-        measured = np.array([float(observation[key]) for key in joints]) * to_rad
-        _check_joints(self.adapter.description, measured, self.joint_units)
-        numbers = [float(action.pop(key)) for key in keys]
-        if np.linalg.norm(numbers[3:6]) > _LONGEST_TURN:
-            raise ValueError(f"ee.wx, ee.wy, ee.wz are {numbers[3:6]}: expected a rotation vector in rad")
-        frames = PolicyFrames(form=PoseFormat.ROTATION_VECTOR)
-        target = frames.from_policy(numbers[:6], self.adapter.forward(measured))
-        self.result = self.adapter.solve(measured, target)
-        q = self.result.q / to_rad
-        for name in self.motor_names:
-            if name == self._gripper:
-                action[f"{name}.pos"] = numbers[6]
-            else:
-                action[f"{name}.pos"] = float(q[self.adapter.joint_names.index(name)])
-        return action
-
-    def transform_features(self, features: Features) -> Features:
-        """Pose features out, joint features in."""
-        for name in (*_POSE, "gripper_pos"):
-            features[PipelineFeatureType.ACTION].pop(f"ee.{name}", None)
-        for name in self.motor_names:
-            features[PipelineFeatureType.ACTION][f"{name}.pos"] = PolicyFeature(FeatureType.ACTION, (1,))
-        return features
-
-    def reset(self) -> None:
-        """Forget the past."""
-        self.adapter.reset()
-        self.result = None
 
 
 @dataclass(kw_only=True)
@@ -169,7 +62,7 @@ class JointsToEEState(ObservationProcessorStep, RelativeActionsProcessorStep):
     def __post_init__(self) -> None:
         from lerobot_mimicik.kinematics.array_chain import array_chain
 
-        _check_units(self.joint_units)
+        check_unit(self.joint_units)
         keys = self.state_keys if isinstance(self.state_keys, list) else []
         if not keys or any(key not in (OBS_STATE, OBS_ENV_STATE) for key in keys):
             raise ValueError(
@@ -198,8 +91,8 @@ class JointsToEEState(ObservationProcessorStep, RelativeActionsProcessorStep):
                 f"{OBS_STATE}: expected {dof} joints, or these and a gripper, got {tuple(state.shape)}"
             )
         numbers = state.detach().double().cpu().numpy()
-        joints = numbers[..., :dof].reshape(-1, dof) * _to_rad(self.joint_units)
-        _check_joints(self._description, joints, self.joint_units)
+        joints = numbers[..., :dof].reshape(-1, dof) * to_rad(self.joint_units)
+        check_joints(self._description, joints, self.joint_units)
         pose = self._frames.to_policy(self._chain.pose(joints)).reshape(*numbers.shape[:-1], -1)
         self._measured = joints[-1]
         seen = np.concatenate([pose, numbers[..., dof:]], axis=-1)
@@ -280,7 +173,7 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
         from lerobot_mimicik.configuration_mimicik import MimicIKConfig
         from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
 
-        _check_units(self.joint_units)
+        check_unit(self.joint_units)
         for name in ("policy", "settings"):
             if not isinstance(getattr(self, name), Mapping):
                 what = "the entries of a MimicIK configuration" if name == "policy" else "names and values"
@@ -341,7 +234,7 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
         results = self.adapter.solve_chunk(self._last, targets)
         self.result = results[-1]
         self._last, self._answered = self.result.q, self._answered + len(results)
-        q = np.stack([result.q for result in results]) / _to_rad(self.joint_units)
+        q = np.stack([result.q for result in results]) / to_rad(self.joint_units)
         return np.concatenate([q, rows[:, width:]], axis=1)
 
     def _target(self, numbers: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -389,20 +282,3 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
 def make_frames(rotation: str, tool: list[float]) -> PolicyFrames:
     """Absolute poses in a rotation format, with a tool frame; an empty one is the arm's own."""
     return PolicyFrames(form=PoseFormat(rotation), tool=tool or tuple(IDENTITY))
-
-
-def _check_units(joint_units: str) -> None:
-    if joint_units not in ("rad", "deg"):
-        raise ValueError(
-            f"joint_units={joint_units!r}: expected 'rad' or 'deg', the unit of the robot's joints (airbot_play: "
-            "rad; most of LeRobot's robots: deg)"
-        )
-
-
-def _to_rad(joint_units: str) -> float:
-    return np.pi / 180 if joint_units == "deg" else 1.0
-
-
-def _check_joints(description: ArmDescription, joints: NDArray[np.float64], joint_units: str) -> None:
-    remedy = f"joint_units is {joint_units!r}; set it to the unit of the robot, 'rad' or 'deg'"
-    check_plausible(description, joints, what="the measured joints", joints_remedy=remedy)
