@@ -68,6 +68,8 @@ FORESIGHT = LearnedKind(
     "foresight.json",
     "What a hand that trembles means, from its last targets",
 )
+FORESIGHT_SOLVERS = ("foresight", "foresight_alone")
+"""Solvers that such a checkpoint is for: under guidance, and its network alone."""
 _BY_TYPE = {kind.type: kind for kind in (*KINDS, FORESIGHT)}
 # As tables and solvers call checkpoints: the kinds, and MimicIK trained without the FK consistency loss.
 LEARNED = ("mimicik", "mimicik_nofk", *(kind.name for kind in KINDS[1:]))
@@ -83,6 +85,11 @@ def kind_of(config: LearnedIKConfig) -> str:
     """What tables call a checkpoint with this configuration, one of `LEARNED`, or `foresight`."""
     kind = _BY_TYPE[config.type].name
     return "mimicik_nofk" if kind == "mimicik" and config.fk_weight == 0 else kind
+
+
+def solvers_of(kind: str) -> tuple[str, ...]:
+    """The rows of tables that a checkpoint of a kind can be measured in."""
+    return FORESIGHT_SOLVERS if kind == FORESIGHT.name else (kind, "mimicik_guided")
 
 
 def find_checkpoint(path: str) -> str:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import torch
 
 from lerobot_mimicik.batches.rollouts import Hand, drive, pieces
+from lerobot_mimicik.cli import main as cli
 from lerobot_mimicik.configuration_foresight import ForesightConfig
+from lerobot_mimicik.data.stress.sets import make_stress
 from lerobot_mimicik.foresight.features import PAST_STEPS, Features, legendre
 from lerobot_mimicik.foresight.foresight import Foresight
 from lerobot_mimicik.foresight.gauge import TremorGauge
@@ -233,3 +237,25 @@ def test_the_weights_in_the_package_steady_a_trembling_hand_and_leave_a_calm_one
     steady, plain = (jerk(adapter, shaken) for adapter in adapters)
     assert steady < 0.6 * plain
     assert jerk(adapters[0], clean) < 1.2 * jerk(adapters[1], clean)
+
+
+def test_tables_measure_the_checkpoint_that_was_named_and_not_the_package(checkpoint, tmp_path, capsys):
+    _, folder = checkpoint
+    make_stress(tmp_path / "sets", ARM, kinds=["tremor-1mm"], episodes=1, seconds=2.0)
+    data = tmp_path / "sets" / "tremor-1mm"
+    rows = "--solvers=foresight,foresight_alone"
+
+    def errors(command: str, dataset: str, *options: str) -> list[float]:
+        out = tmp_path / f"{command}{len(options)}"
+        common = [f"{dataset}={data}", rows, "--modes=closed_loop", f"--output={out}"]
+        assert cli.main([command, *common, *options]) == 0
+        found = json.loads((out / {"eval": "report.json", "bench": "summary.json"}[command]).read_text())
+        return [row["mean_mm"] for row in found["rows"] if row["solver"].startswith("foresight")]
+
+    for command, dataset in (("eval", "--dataset"), ("bench", "--datasets")):
+        named = errors(command, dataset, f"--policy.path={folder}")
+        assert len(named) == 2
+        assert (np.abs(np.subtract(named, errors(command, dataset))) > 1e-3).all()
+    options = [f"--datasets={data}", f"--policy.path={folder}", f"--output={tmp_path / 'x'}"]
+    assert cli.main(["bench", *options, "--solvers=guided"]) != 0
+    assert "no row of --solvers is measured with it" in capsys.readouterr().err

@@ -30,7 +30,8 @@ class BenchConfig:
     datasets: str = ""
     # Folder of the LeRobot dataset to train on, made by mimicik make-dataset; needed for learned rows only.
     train: str = ""
-    # --policy.path: a checkpoint for the rows mimicik and mimicik_guided, which are else trained on --train.
+    # --policy.path: a checkpoint for the rows mimicik and mimicik_guided, which are else trained on --train; one of
+    # foresight is for the rows foresight and foresight_alone.
     policy: PolicySource = field(default_factory=PolicySource)
     # The datasets' arm where they do not say: a shipped one (see `mimicik arms`) or the path of a URDF.
     arm: str = ""

@@ -112,7 +112,7 @@ def run(
         say_loading()
     import torch
 
-    from lerobot_mimicik.checkpoints import LEARNED, kind_of, load_policy
+    from lerobot_mimicik.checkpoints import FORESIGHT_SOLVERS, LEARNED, kind_of, load_policy, solvers_of
     from lerobot_mimicik.evaluation.evaluate import evaluate, study
     from lerobot_mimicik.evaluation.report import unavailable_row, write_report
     from lerobot_mimicik.evaluation.result_pages import write_eval_page
@@ -137,7 +137,7 @@ def run(
 
     policy: LearnedIKPolicy | None = None
     kind = ""
-    if learned or ("foresight" in names and config.policy.path):
+    if learned or (config.policy.path and not {*names}.isdisjoint(FORESIGHT_SOLVERS)):
         policy = load_policy(config.policy.path, config.device or None)
         kind = kind_of(policy.config)
         others = [name for name in learned if name not in ("mimicik", "mimicik_guided", kind)]
@@ -160,8 +160,9 @@ def run(
     rows = [] if rows is None else rows
     solvers: dict[str, IKSolver] = {}
     for name in names:
+        chosen = {"policy": policy} if kind and name in solvers_of(kind) else {}
         try:
-            solvers[name] = make_solver(name, arm, **({"policy": policy} if name in (*learned, kind) else {}))
+            solvers[name] = make_solver(name, arm, **chosen)
         except (SolverUnavailable, ImportError) as error:
             rows.append(unavailable_row(name, str(error)))
     settings = asdict(config) | {"device": str(policy.config.device) if policy is not None else "cpu"}

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from lerobot_mimicik import outputs
-from lerobot_mimicik.checkpoints import LEARNED, load_policy
+from lerobot_mimicik.checkpoints import FORESIGHT, LEARNED, kind_of, load_policy, solvers_of
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.data.writer import ARM_FILE, read_arm_json
 from lerobot_mimicik.evaluation.anatomy import Ordeal, load_commands, make_ordeals, save_commands, undergo
@@ -58,7 +58,8 @@ class BenchOptions:
     Attributes:
         datasets: Folders of the LeRobot datasets to measure on.
         train: Folder of the LeRobot dataset to train on; None where no row is trained.
-        policy: Checkpoint that the rows `mimicik` and `mimicik_guided` are measured with in place of trainings.
+        policy: Checkpoint that the rows `mimicik` and `mimicik_guided` are measured with in place of trainings, or the
+            rows `foresight` and `foresight_alone` in place of the package's weights.
         arm: A shipped arm or the path of a URDF, where the datasets do not name it.
         joint_units, target, state_joint_names: As in `Layout`; of the action too.
         train_episodes, episodes: Episodes to train and to measure on; empty: all of them.
@@ -157,15 +158,13 @@ def run_bench(
     if options.markdown is not None:
         check_document(options.markdown)
     outputs.claim(options.out, "benchmark")
-    given = {
-        name for name, row in rows.items() if row is not None and options.policy and row.trained == "mimicik"
-    }
+    checkpoint = load_policy(options.policy, options.device or None) if options.policy else None
+    given = set() if checkpoint is None else _rows_of(kind_of(checkpoint.config), rows, options)
     trained = [row for name, row in rows.items() if row is not None and name not in given]
     trainings = prepare_trainings(options, description, trained)
     arm = SerialArm(description, dtype=torch.float64)
     ordeals = make_ordeals(description) if description.home else []
     occasions = _occasions(options, arm)
-    checkpoint = load_policy(options.policy, options.device or None) if given else None
     digests = dict.fromkeys(given, checkpoint.digest()) if checkpoint is not None else {}
     bench = _Bench(options, settings, arm, rows, digests, occasions, ordeals, progress, say)
     failed = False
@@ -217,6 +216,26 @@ def _checked(options: BenchOptions) -> dict[str, LearnedRow | None]:
                 + (", or which checkpoint is it? --policy.path=..." if row.trained == "mimicik" else "")
             )
     return rows
+
+
+def _rows_of(kind: str, rows: Mapping[str, LearnedRow | None], options: BenchOptions) -> set[str]:
+    """The rows that are measured with a checkpoint of this kind. ValueError if there is none, or one would need another."""
+    if kind == FORESIGHT.name:
+        given = set(rows) & set(solvers_of(kind))
+        untrained = [name for name, row in rows.items() if row is not None and options.train is None]
+        if untrained:
+            raise ValueError(
+                f"--solvers names {untrained[0]}, but {options.policy} is a checkpoint of {kind}: --train=... names the "
+                "dataset to train it on"
+            )
+    else:
+        given = {name for name, row in rows.items() if row is not None and row.trained == "mimicik"}
+    if not given:
+        raise ValueError(
+            f"--policy.path={options.policy} is a checkpoint of {kind}, and no row of --solvers is measured with it: "
+            f"{', '.join(solvers_of(kind))}"
+        )
+    return given
 
 
 def _arm(options: BenchOptions) -> ArmDescription:
@@ -330,8 +349,9 @@ class _Bench:
 
     def _configuration(self, name: str, row: LearnedRow | None) -> str:
         """What tables say beside a row."""
-        if row is not None and name in self._digests:
-            return f"{solver_configuration(row.solver)} (--policy.path={self._options.policy})"
+        if name in self._digests:
+            solver = name if row is None else row.solver
+            return f"{solver_configuration(solver)} (--policy.path={self._options.policy})"
         return solver_configuration(name) if row is None else row.configuration(self._options.size)
 
     def _rows(self) -> list[dict[str, Any]]:
