@@ -1,4 +1,4 @@
-"""A deployment in rerun: targets, the arm's tool, joint steps, limits and safety events."""
+"""A deployment in rerun: the arm, targets, its tool, joint steps, limits and safety events."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from lerobot_mimicik import outputs
+from lerobot_mimicik.kinematics.array_chain import array_chain
 from lerobot_mimicik.kinematics.poses import pose_distance
+from lerobot_mimicik.kinematics.shapes import drawn_shapes, outline
 from robot_adapters.adapter import MimicIKAdapter
 
 if TYPE_CHECKING:
     from robot_adapters.arm import ArmState, CommandResult
 
 _TRAIL = 200  # frames of the path that stay in sight
+_FRAME = np.concatenate([np.zeros((1, 3)), np.eye(3)])  # origin and axes of a body
+_GREY = (0.75, 0.78, 0.82)  # of shapes without a colour of their own
 _NAME = "mimicik_deploy"  # of the recording in rerun, which stands at the beginning of its file too
 
 
@@ -51,7 +56,10 @@ class RerunDisplay:
         if save is not None:
             check_recording(save)
             rerun.save(save)
+        rerun.send_blueprint(_layout())
         rerun.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._chain = array_chain(adapter.description)
+        self._log_shapes()
 
     def frame(
         self,
@@ -66,6 +74,7 @@ class RerunDisplay:
         rr.set_time("frame", sequence=number)
         rr.set_time("time", duration=number / self._fps)
         tool = self._adapter.forward(state.q)
+        self._move_arm(state.q)
         for name, pose, colour in (("target", target, (230, 120, 20)), ("tool", tool, (30, 110, 220))):
             path = self._paths[name]
             path.append(pose[:3])
@@ -85,3 +94,49 @@ class RerunDisplay:
         rr.log("steps/limit", rr.Scalars(0.1))
         for event in result.events:
             rr.log("events", rr.TextLog(event.message, level="WARN"))
+
+    def _log_shapes(self) -> None:
+        """The shapes of the URDF, each on its body; meshes are not read, bones stand for them."""
+        rr = self._rerun
+        for number, shape in enumerate(drawn_shapes(self._adapter.description)):
+            points = outline(shape)
+            out = points - points.mean(axis=0)
+            rr.log(
+                f"world/arm/body{shape.body}/shape{number}",
+                rr.Mesh3D(
+                    vertex_positions=points,
+                    triangle_indices=ConvexHull(points).simplices,
+                    vertex_normals=out / np.linalg.norm(out, axis=1, keepdims=True),
+                    albedo_factor=[*(shape.colour or _GREY), 1.0],
+                ),
+                static=True,
+            )
+
+    def _move_arm(self, q: NDArray[np.float64]) -> None:
+        """Put the bodies to joints (dof,) [rad, m]."""
+        rr = self._rerun
+        for body, moved in enumerate(self._chain.body_points(q[None], [_FRAME] * (self._chain.dof + 1))):
+            origin, axes = moved[0, :, 0], moved[1:, :, 0]
+            rr.log(f"world/arm/body{body}", rr.Transform3D(translation=origin, mat3x3=(axes - origin).T))
+
+
+def _layout() -> Any:
+    """What the viewer opens with: the arm, beside it steps, errors and joints over time, events below."""
+    from rerun import blueprint as rrb
+
+    curves = [
+        rrb.TimeSeriesView(origin=origin, name=name)
+        for origin, name in (
+            ("steps", "joint steps [rad]"),
+            ("error", "error [mm, deg]"),
+            ("joints", "joints [rad]"),
+        )
+    ]
+    left = rrb.Vertical(
+        rrb.Spatial3DView(origin="world", name="arm"),
+        rrb.TextLogView(origin="events", name="events"),
+        row_shares=[4, 1],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(left, rrb.Vertical(*curves), column_shares=[3, 2]), collapse_panels=True
+    )

@@ -23,7 +23,7 @@ from lerobot_mimicik.evaluation.anatomy import FPS
 from lerobot_mimicik.evaluation.metrics import ESTOP_RAD
 from lerobot_mimicik.evaluation.side_by_side import Follower, SideBySide
 from lerobot_mimicik.kinematics.array_chain import array_chain
-from lerobot_mimicik.kinematics.shapes import Shape, drawn_shapes
+from lerobot_mimicik.kinematics.shapes import drawn_shapes, outline
 
 _WIDTH, _HEIGHT, _DPI = 4.4, 3.1, 100  # inches: type of 8 points is legible at 400 px
 _LARGER = 1.3  # as a page shows it
@@ -149,7 +149,7 @@ class _Stage:
         turning = np.argsort(-np.abs(np.diff(beside, axis=0)).max(axis=0))[:_NEEDLES]
         self._hands = [body for body, column in enumerate(chain.columns, 1) if column in turning]
         needle = _NEEDLE * reach * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-        outlines = [_outline(shape) for shape in shapes]
+        outlines = [outline(shape) for shape in shapes]
         ends = np.cumsum([len(points) for points in outlines])
         self._slices = [slice(end - len(points), end) for end, points in zip(ends, outlines, strict=True)]
         points = [
@@ -244,23 +244,3 @@ class _Curves:
         for line, follower in zip(self._lines, self._shown.followers, strict=True):
             line.set_data(self._seconds[: number + 1], np.maximum(follower.steps[: number + 1], 1e-4))
             self._axes.draw_artist(line)
-
-
-def _outline(shape: Shape) -> Array:
-    """Points (n, 3) whose convex hull is the shape, in its body's frame [m]."""
-    angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    if shape.kind == "box":
-        points = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T * np.array(shape.size)
-    elif shape.kind == "cylinder":
-        radius, length = shape.size
-        points = np.concatenate([radius * circle + [0, 0, end * length / 2] for end in (-1, 1)])
-    else:
-        radius = shape.size[0]
-        half = shape.size[1] / 2 if shape.kind == "capsule" else 0.0
-        rings = np.linspace(-np.pi / 2, np.pi / 2, 7)
-        ball = np.concatenate([radius * (np.cos(up) * circle + [0, 0, np.sin(up)]) for up in rings])
-        end = np.array([0, 0, half])
-        points = np.concatenate([ball + end, ball - end])
-    rotation, position = shape.pose
-    return points @ rotation.T + position

@@ -81,6 +81,26 @@ def drawn_shapes(description: ArmDescription) -> list[Shape]:
     return shapes
 
 
+def outline(shape: Shape) -> np.ndarray:
+    """Points (n, 3) whose convex hull is the shape, in its body's frame [m]."""
+    angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    if shape.kind == "box":
+        points = np.array(np.meshgrid(*[(-0.5, 0.5)] * 3)).reshape(3, -1).T * np.array(shape.size)
+    elif shape.kind == "cylinder":
+        radius, length = shape.size
+        points = np.concatenate([radius * circle + [0, 0, end * length / 2] for end in (-1, 1)])
+    else:
+        radius = shape.size[0]
+        half = shape.size[1] / 2 if shape.kind == "capsule" else 0.0
+        rings = np.linspace(-np.pi / 2, np.pi / 2, 7)
+        ball = np.concatenate([radius * (np.cos(up) * circle + [0, 0, np.sin(up)]) for up in rings])
+        end = np.array([0, 0, half])
+        points = np.concatenate([ball + end, ball - end])
+    rotation, position = shape.pose
+    return points @ rotation.T + position
+
+
 def _shapes_of(
     link: ElementTree.Element, purpose: str, body: int, at: Pose, colours: dict[str, tuple[float, ...] | None]
 ) -> list[Shape]:
