@@ -10,9 +10,11 @@ A new one is a configuration and a policy class whose `build` makes the network 
 """
 
 from abc import abstractmethod
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
 
 import torch
+from huggingface_hub import CommitInfo, ModelCard
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
@@ -31,6 +33,8 @@ from lerobot_mimicik.noise import sample_normal, sample_uniform
 from lerobot_mimicik.normalisation import MinMax
 from lerobot_mimicik.objective import Objective
 from lerobot_mimicik.optimiser import SharedOptimiser
+from lerobot_mimicik.publishing.hub import card_after_training, push_policy, weights_digest
+from lerobot_mimicik.publishing.training_facts import TrainingFacts
 from lerobot_mimicik.weights import load_tensors, read_tensors
 
 
@@ -51,6 +55,11 @@ class LearnedIKPolicy(PreTrainedPolicy):
 
     training_step: Tensor
     noise_seed: Tensor
+
+    # Where the policy was loaded from: what lies beside the weights there goes along to the Hub.
+    _source: str | None = None
+    # Of the data that it is trained on.
+    _facts: TrainingFacts | None = None
 
     def __init__(
         self,
@@ -116,6 +125,7 @@ class LearnedIKPolicy(PreTrainedPolicy):
 
             table = FrameTable(LeRobotDataset(meta.repo_id, root=meta.root))
         check_table(table, self.config, str(meta.root))
+        self._facts = TrainingFacts.of_dataset(meta)
         self.prepare(table, meta)
 
     def prepare(self, table: FrameTable, meta: LeRobotDatasetMetadata) -> None:
@@ -326,10 +336,47 @@ class LearnedIKPolicy(PreTrainedPolicy):
         """A chunk of one action, shape (B, 1, d): see `select_action`."""
         return self.select_action(batch, **kwargs).unsqueeze(1)
 
+    # --- The Hub ---
+
+    @classmethod
+    def from_pretrained(cls, pretrained_name_or_path: str | Path, **options: Any) -> Self:
+        """Loads a checkpoint from a folder or a Hub repository, with LeRobot's options.
+
+        Raises:
+            FileNotFoundError: If there is no checkpoint.
+            TypeError: If it is one of another policy.
+        """
+        policy = super().from_pretrained(pretrained_name_or_path, **options)
+        policy._source = str(pretrained_name_or_path)
+        return policy
+
+    def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
+        """LeRobot's hook that writes a checkpoint: what is known of the training data goes along."""
+        super()._save_pretrained(save_directory, state_dict=state_dict)
+        if self._facts is not None:
+            self._facts.save(save_directory)
+
+    def generate_model_card(
+        self,
+        dataset_repo_id: str,
+        model_type: str,
+        license: str | None,
+        tags: list[str] | None,
+        cfg: Any = None,
+        dataset_meta: LeRobotDatasetMetadata | None = None,
+    ) -> ModelCard:
+        """The card that LeRobot uploads at the end of training."""
+        return card_after_training(self, dataset_repo_id, license, tags, cfg, dataset_meta)
+
+    def push_to_hub(self, repo_id: str, **options: Any) -> CommitInfo:
+        """Uploads the policy, its processors, its card and its evaluation: see `.hub.push_policy`.
+
+        What lies beside the weights is taken from where the policy was loaded, unless `source` says otherwise.
+        """
+        return push_policy(self, repo_id, **({"source": self._source} | options))
+
     def digest(self) -> str:
         """What tells these weights from others; see `weights_digest`."""
-        from lerobot_mimicik.publishing.hub import weights_digest
-
         return weights_digest(self.state_dict())
 
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:

@@ -37,6 +37,8 @@ _WARM_UP = 4  # queries; the tracer optimises at the second and third
 _STATUS = {Reason.STEP: "limited", Reason.SMOOTHNESS: "inexact"}
 Array = NDArray[np.float64]
 
+_WEIGHTS = ["config.json", "*.safetensors"]  # what a checkpoint of the Hub is asked for
+
 
 @dataclass(frozen=True)
 class AdapterSettings(GuidanceSettings):
@@ -129,7 +131,7 @@ class MimicIKAdapter:
             FileNotFoundError, TypeError: If there is no checkpoint, or it is another policy's.
             ValueError, EngineUnavailable: As `StepFile.load`.
         """
-        from lerobot_mimicik.checkpoints import find_checkpoint, load_policy
+        from lerobot_mimicik.checkpoints import find_checkpoint, kind_of, load_policy
 
         if str(path).endswith(".onnx"):
             return cls._exported(path, settings)
@@ -140,6 +142,10 @@ class MimicIKAdapter:
         from lerobot_mimicik.solvers.mimicik import MimicIKSolver
 
         policy = load_policy(str(path), device)
+        if kind_of(policy.config) == "foresight":  # on the Hub, where no folder tells before it is loaded
+            from huggingface_hub import snapshot_download
+
+            return cls.from_pretrained(snapshot_download(folder, allow_patterns=_WEIGHTS), device, **settings)
         description = policy.config.arm_description()
         solver = MimicIKSolver(SerialArm(description), policy)
         adapter = cls(solver, description, AdapterSettings.of(settings))

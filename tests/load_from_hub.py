@@ -26,7 +26,7 @@ def main() -> None:
     example = re.search(r"## Use\n.*?```python\n(.*?)```", ModelCard.load(repo).text, re.DOTALL)
     shown: dict[str, torch.Tensor] = {}
     exec(example.group(1), shown)
-    answers["example"] = shown["q_cmd"]
+    answers["example"] = torch.from_numpy(shown["result"].q)[None]
     save_file(answers, ask)
 
 

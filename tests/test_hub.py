@@ -139,10 +139,10 @@ def test_push_from_a_folder_takes_processors_settings_and_evaluation_along(hub, 
     shutil.copytree(report, folder / "eval")
     MimicIKPolicy.from_pretrained(folder).push_to_hub(MEASURED, private=True)
     found, files = card(hub, MEASURED), hub.repositories[MEASURED].files
-    assert set(files) == {*hub.repositories[TRAINED].files, "report.json"}
+    assert set(files) == {*hub.repositories[TRAINED].files, "report.json", "singularity.gif"}
     rows = json.loads(files["report.json"].content)["rows"]
     for row in rows:
-        assert f"{row['mean_mm']:.2f}" in found.text
+        assert f"| {row['solver']} | {row['mean_mm']:.3f} |" in found.text or row["mean_mm"] >= 100
     assert {row["solver"] for row in rows} == {"mimicik", "hold"}
     assert found.data.datasets == ["user/teleop"]
     with pytest.raises(RepositoryNotFoundError):
@@ -152,7 +152,7 @@ def test_push_from_a_folder_takes_processors_settings_and_evaluation_along(hub, 
     policy = MimicIKPolicy.from_pretrained(MEASURED)
     with torch.no_grad():
         next(policy.network.parameters()).add_(1)
-    policy.push_to_hub(MEASURED)
+    policy.push_to_hub(MEASURED, picture=False)
     assert "No evaluation is recorded" in card(hub, MEASURED).text
     assert card(hub, MEASURED).data.datasets is None
     assert set(hub.repositories[MEASURED].files) == set(hub.repositories[TRAINED].files)
@@ -161,7 +161,11 @@ def test_push_from_a_folder_takes_processors_settings_and_evaluation_along(hub, 
 def test_push_without_a_folder_makes_the_processors(hub, checkpoint, report):
     policy = MimicIKPolicy.from_pretrained(checkpoint)
     policy.push_to_hub(
-        "user/alone", source=None, report=report, card_kwargs={"license": "mit", "tags": ["airbot"]}
+        "user/alone",
+        source=None,
+        report=report,
+        picture=False,
+        card_kwargs={"license": "mit", "tags": ["airbot"]},
     )
     files = hub.repositories["user/alone"].files
     for name in ("policy_preprocessor.json", "policy_postprocessor.json"):
@@ -172,6 +176,26 @@ def test_push_without_a_folder_makes_the_processors(hub, checkpoint, report):
     found = card(hub, "user/alone")
     assert (found.data.license, "airbot" in found.data.tags) == ("mit", True)
     assert "closed loop" in found.text.lower()
+
+
+def test_pushing_again_from_a_checkpoint_loses_nothing(hub, checkpoint, report):
+    """Neither from the folder that was trained nor from the Hub: picture, table, data, licence, tags, own words."""
+    repo = "user/again"
+    MimicIKPolicy.from_pretrained(checkpoint).push_to_hub(
+        repo, report=report, card_kwargs={"license": "mit", "tags": ["airbot"]}
+    )
+    first = card(hub, repo)
+    assert "MimicIKAdapter.from_pretrained" in first.text
+    assert "3 episodes, 60 frames" in first.text
+    assert "![airbot_play led through a singularity](singularity.gif)" in first.text
+    assert first.text.count("| mimicik |") == 1
+    first.content += "\nMy own words.\n"
+    HfApi().upload_file(repo_id=repo, path_or_fileobj=str(first).encode(), path_in_repo="README.md")
+    before = set(hub.repositories[repo].files)
+    for source in (checkpoint, repo):
+        MimicIKPolicy.from_pretrained(source).push_to_hub(repo)
+        assert str(card(hub, repo)).split() == str(first).split()
+        assert set(hub.repositories[repo].files) == before >= {"report.json", "singularity.gif"}
 
 
 def test_report_of_other_weights_is_refused(hub, checkpoint, report):

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from types import SimpleNamespace
 
 import pytest
 from hub_contents import check_metadata
@@ -9,7 +10,8 @@ from hub_contents import check_metadata
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.evaluation.report import ROW_KEYS
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
-from lerobot_mimicik.publishing.model_card import TrainingFacts, model_card
+from lerobot_mimicik.publishing.model_card import model_card
+from lerobot_mimicik.publishing.training_facts import TrainingFacts
 
 SMALL = {"d_model": 16, "n_layers": 1, "n_heads": 2, "d_ff": 16, "device": "cpu"}
 RAIL = """<robot name="rail"><link name="a"/><link name="b"/><link name="c"/>
@@ -52,7 +54,7 @@ def test_shows_joints_without_limits_and_those_that_slide():
 
 def test_shows_the_accuracy_it_is_given(policy):
     text = model_card(policy, report=report()).text
-    assert "| 1.23 |" in text
+    assert "| mimicik | 1.234 |" in text
     assert "Bounded, 4 singular passages" in text
     assert "test: 2 episodes, 100 frames at 15 fps" in text
     assert "at 15 Hz" in text
@@ -75,6 +77,7 @@ def test_metadata_pass_the_hubs_check_and_link_only_to_the_hub(policy, dataset, 
 def test_tables_and_examples_are_well_formed(policy):
     text = model_card(policy, "user/arm", TrainingFacts("a/b", 3, 4000, 20.0, 512, 0), report()).text
     assert "None" not in text
+    assert text.index("MimicIKAdapter") < text.index("mimicik eval") < text.index("## Accuracy")
     tables = re.findall(r"(?:^\|.*\|\n)+", text, re.MULTILINE)
     assert len(tables) == 4
     for table in tables:
@@ -82,3 +85,38 @@ def test_tables_and_examples_are_well_formed(policy):
     for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
         ast.parse(example)
         assert "user/arm" in example
+
+
+def test_foresight_has_a_card_of_its_own():
+    from lerobot_mimicik.configuration_foresight import ForesightConfig
+    from lerobot_mimicik.modeling_foresight import ForesightPolicy
+
+    policy = ForesightPolicy(ForesightConfig(urdf="piper", hidden_dim=8, n_layers=1, device="cpu"))
+    card = model_card(policy, "user/steady", picture="A hand trembles.")
+    assert check_metadata(str(card)) == ([], [])
+    assert "# MimicIK foresight for piper" in card.text
+    assert "| tremor in training | 0 to 2.2 mm" in card.text
+    assert "singularity.gif)\n\nA hand trembles." in card.text
+    (example,) = re.findall(r"```python\n(.*?)```", card.text.partition("## Accuracy")[0], re.DOTALL)
+    assert 'MimicIKAdapter.from_pretrained("user/steady")' in example
+
+
+@pytest.mark.parametrize(
+    ("file", "told"),
+    [
+        ("meta/retarget_report.json", "computed by retargeting"),
+        ("meta/joint_log.json", "recorded on a real arm"),
+        (None, "no robot was involved"),
+    ],
+)
+def test_the_card_says_what_the_data_was(policy, tmp_path, file, told):
+    (tmp_path / "meta").mkdir()
+    for name in ("meta/arm.json", *filter(None, [file])):
+        (tmp_path / name).write_text("{}")
+    meta = SimpleNamespace(root=tmp_path, repo_id="local/x", total_episodes=3, total_frames=4000, fps=20)
+    facts = TrainingFacts.of_dataset(meta)
+    facts.save(tmp_path)
+    assert TrainingFacts.of_checkpoint(tmp_path) == facts
+    text = model_card(policy, training=facts).text
+    assert told in text
+    assert "3 episodes, 4,000 frames at 20 a second" in text

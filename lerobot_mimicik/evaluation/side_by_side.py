@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lerobot_mimicik.data.arm_arrays import Array
+from lerobot_mimicik.data.home import with_home
 from lerobot_mimicik.evaluation.anatomy import FPS, OUT_OF_REACH, make_ordeals
 from lerobot_mimicik.evaluation.metrics import ESTOP_RAD
 from lerobot_mimicik.evaluation.rollouts import make_rollouts
@@ -22,6 +24,9 @@ from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.tremor import displaced, tremor
 from lerobot_mimicik.kinematics.urdf import read_urdf
 from lerobot_mimicik.solvers.base import IKSolver, available_solvers, make_solver
+
+if TYPE_CHECKING:
+    from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 
 TREMOR_MM = 1.0
 """Root mean square of the hand's trembling; half a degree goes with it."""
@@ -89,12 +94,17 @@ class SideBySide:
         )
 
 
-def follow(description: ArmDescription, seed: int = 0) -> SideBySide | None:
+def follow(
+    description: ArmDescription, seed: int = 0, policy: LearnedIKPolicy | None = None
+) -> SideBySide | None:
     """Drive both solvers through the arm's first kind of singularity; None for an arm without any.
 
-    Raises:
-        ValueError: If the description has no home posture.
+    Args:
+        description: The arm.
+        seed: Of the tremor.
+        policy: A checkpoint that the guided solver has; None: it runs without.
     """
+    description = with_home(description)
     ordeal = make_ordeals(description, seed)[0]
     if ordeal.name == OUT_OF_REACH:
         return None
@@ -103,9 +113,16 @@ def follow(description: ArmDescription, seed: int = 0) -> SideBySide | None:
     trajectory, arm = Trajectory(0, q, target, arm=description), SerialArm(description)
     missing = available_solvers(name for name, *_ in _BESIDE)
     solver, name, about = next(row for row in _BESIDE if missing[row[0]] is None)
+    if policy is None:
+        ours = _followed(make_solver(_OURS, arm), _OURS, "the guided solver", trajectory)
+    else:
+        own = make_solver(
+            "foresight" if policy.name == "mimicik_foresight" else "mimicik_guided", arm, policy=policy
+        )
+        ours = _followed(own, "this checkpoint", "the guided solver with this checkpoint", trajectory)
     followers = (
         _followed(make_solver(solver, arm), name, about, trajectory),
-        _followed(make_solver(_OURS, arm), _OURS, "the guided solver", trajectory),
+        ours,
     )
     return SideBySide(description, ordeal.name, target, ordeal.worst, followers)
 

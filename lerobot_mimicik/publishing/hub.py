@@ -10,27 +10,31 @@ import hashlib
 import json
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import torch
-from huggingface_hub import CommitInfo, HfApi, ModelCard, snapshot_download
+from huggingface_hub import CommitInfo, HfApi, ModelCard, hf_hub_download, snapshot_download
 from huggingface_hub.constants import CONFIG_NAME, REPOCARD_NAME, SAFETENSORS_SINGLE_FILE
-from huggingface_hub.errors import HFValidationError, RepositoryNotFoundError
+from huggingface_hub.errors import EntryNotFoundError, HFValidationError, RepositoryNotFoundError
 from safetensors.torch import load_file
 from torch import Tensor
 
-from lerobot_mimicik.publishing.model_card import TrainingFacts, model_card
+from lerobot_mimicik.publishing.model_card import KEPT_BELOW, TAGS, model_card
+from lerobot_mimicik.publishing.training_facts import TrainingFacts
 
 if TYPE_CHECKING:
     from lerobot.configs.train import TrainPipelineConfig
     from lerobot.datasets import LeRobotDatasetMetadata
 
-    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+    from lerobot_mimicik.evaluation.animation import Animation
+    from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 
 REPORT_NAME = "report.json"
-TRAIN_CONFIG_NAME = "train_config.json"
+PICTURE_NAME = "singularity.gif"
 _CHECKPOINT_FILES = ["*.json", "*.safetensors"]
 _REPORT_PLACES = (REPORT_NAME, f"eval/{REPORT_NAME}")
 # <run>/checkpoints/<step>/pretrained_model
@@ -102,7 +106,7 @@ def find_report(folder: str | Path, digest: str) -> dict[str, Any] | None:
 
 
 def card_after_training(
-    policy: MimicIKPolicy,
+    policy: LearnedIKPolicy,
     dataset_repo_id: str | None,
     license: str | None,
     tags: list[str] | None,
@@ -110,23 +114,22 @@ def card_after_training(
     meta: LeRobotDatasetMetadata | None,
 ) -> ModelCard:
     """The card of weights that were trained a moment ago: nothing has measured them yet."""
-    facts = TrainingFacts(
+    facts = replace(
+        TrainingFacts() if meta is None else TrainingFacts.of_dataset(meta),
         dataset=dataset_repo_id,
-        episodes=meta.total_episodes if meta is not None else None,
-        frames=meta.total_frames if meta is not None else None,
-        fps=meta.fps if meta is not None else None,
-        batch_size=cfg.batch_size if cfg is not None else None,
-        seed=cfg.seed if cfg is not None else None,
+        batch_size=None if cfg is None else cfg.batch_size,
+        seed=None if cfg is None else cfg.seed,
     )
     return model_card(policy, policy.config.repo_id, facts, license=license, tags=tags)
 
 
 def push_policy(
-    policy: MimicIKPolicy,
+    policy: LearnedIKPolicy,
     repo_id: str,
     *,
     source: str | Path | None = None,
     report: str | Path | Mapping[str, Any] | None = None,
+    picture: bool = True,
     commit_message: str | None = None,
     private: bool | None = None,
     token: str | None = None,
@@ -137,7 +140,10 @@ def push_policy(
     delete_patterns: list[str] | str | None = None,
     card_kwargs: Mapping[str, Any] | None = None,
 ) -> CommitInfo:
-    """Uploads a policy with its processors, its model card and, where there is one, its evaluation.
+    """Uploads a policy with its processors, its model card and picture and, where there is one, its evaluation.
+
+    What the repository holds already is not lost: its evaluation, where it is of these weights, its licence and tags, and
+    what somebody wrote below the card's last line.
 
     Args:
         policy: What is uploaded.
@@ -145,6 +151,7 @@ def push_policy(
         source: The folder or Hub repository the policy was loaded from: its processors and training settings
             go along, and its evaluation is found. Without it, processors are made from the configuration.
         report: `report.json` of `mimicik eval` for these weights, its folder, or its content.
+        picture: Whether the arm is drawn as it is led through a singularity.
         card_kwargs: Passed to `model_card`: `license`, `tags`, `training`.
         commit_message, private, token, branch, create_pr, allow_patterns, ignore_patterns, delete_patterns:
             as in LeRobot's `push_to_hub`.
@@ -159,13 +166,25 @@ def push_policy(
     evaluation = _given_report(report, digest)
     if evaluation is None and folder is not None:
         evaluation = find_report(folder, digest)
-    card_options = {
+    there = _Published.find(repo_id, digest, token)
+    evaluation = there.report if evaluation is None else evaluation
+    card_options: dict[str, Any] = {
         "training": _recorded_training(folder, digest),
-        "license": policy.config.license,
-        "tags": policy.config.tags,
+        "license": policy.config.license or there.license,
+        "tags": [*(policy.config.tags or ()), *there.tags],
         **(card_kwargs or {}),
     }
-    card = model_card(policy, repo_id=repo_id, report=evaluation, **card_options)
+    # So that whoever loads the checkpoint and pushes it again need not know them.
+    policy.config.license, policy.config.tags = (
+        card_options["license"],
+        list(card_options["tags"] or ()) or None,
+    )
+    drawn = _picture(policy) if picture else None
+    card = model_card(
+        policy, repo_id, report=evaluation, picture=None if drawn is None else drawn.caption, **card_options
+    )
+    if there.notes:
+        card.content = f"{card.content.rstrip()}\n\n{there.notes}\n"
 
     api = HfApi(token=token)
     with TemporaryDirectory(ignore_cleanup_errors=True) as temporary:
@@ -173,11 +192,15 @@ def push_policy(
         policy.save_pretrained(out)
         _write_processors(policy, folder, out)
         card.save(out / REPOCARD_NAME)
+        if drawn is not None:
+            drawn.save(out)
         deleted = [delete_patterns] if isinstance(delete_patterns, str) else list(delete_patterns or ())
         if evaluation is None:
             deleted.append(REPORT_NAME)  # of an earlier push: it is not about these weights
         else:
             (out / REPORT_NAME).write_text(json.dumps(evaluation, indent=2) + "\n", encoding="utf-8")
+        if drawn is None:
+            deleted.append(PICTURE_NAME)
         repo_id = api.create_repo(repo_id=repo_id, private=private, exist_ok=True).repo_id
         return api.upload_folder(
             repo_id=repo_id,
@@ -190,6 +213,50 @@ def push_policy(
             ignore_patterns=ignore_patterns,
             delete_patterns=deleted or None,
         )
+
+
+@dataclass(frozen=True)
+class _Published:
+    """What a repository holds already that a new push must not lose."""
+
+    report: Mapping[str, Any] | None = None
+    license: str | None = None
+    tags: tuple[str, ...] = ()
+    notes: str = ""
+
+    @classmethod
+    def find(cls, repo_id: str, digest: str, token: str | None) -> _Published:
+        """What a repository holds; nothing for one that does not exist.
+
+        Args:
+            repo_id: The repository.
+            digest: Of the weights that are pushed: an evaluation of others is not kept.
+            token: Of the Hub.
+        """
+        report, card = None, None
+        with suppress(EntryNotFoundError, RepositoryNotFoundError, ValueError):
+            found = read_report(hf_hub_download(repo_id, REPORT_NAME, token=token))
+            report = found if _measured_weights(found) == digest else None
+        with suppress(EntryNotFoundError, RepositoryNotFoundError):
+            card = ModelCard.load(repo_id, token=token)
+        if card is None:
+            return cls(report)
+        license, tags = card.data.license, card.data.tags or ()
+        return cls(
+            report,
+            None if license in (None, "unknown") else str(license),
+            tuple(tag for tag in tags if tag not in TAGS),
+            card.text.partition(KEPT_BELOW)[2].strip(),
+        )
+
+
+def _picture(policy: LearnedIKPolicy) -> Animation | None:
+    """The policy's arm as it is led through a singularity; None for an arm that has none."""
+    from lerobot_mimicik.evaluation.animation import animate
+    from lerobot_mimicik.evaluation.side_by_side import follow
+
+    shown = follow(policy.config.arm_description(), policy=policy)
+    return None if shown is None else animate(shown)
 
 
 def _given_report(report: str | Path | Mapping[str, Any] | None, digest: str) -> Mapping[str, Any] | None:
@@ -226,14 +293,9 @@ def _checkpoint_folder(source: str | Path, token: str | None) -> Path:
 
 def _recorded_training(folder: Path | None, digest: str) -> TrainingFacts:
     """The training that made the checkpoint; unknown for weights that have changed since."""
-    if folder is None or not (folder / TRAIN_CONFIG_NAME).is_file() or _digest_of(folder) != digest:
+    if folder is None or _digest_of(folder) != digest:
         return TrainingFacts()
-    values = json.loads((folder / TRAIN_CONFIG_NAME).read_text(encoding="utf-8"))
-    return TrainingFacts(
-        dataset=values.get("dataset", {}).get("repo_id"),
-        batch_size=values.get("batch_size"),
-        seed=values.get("seed"),
-    )
+    return TrainingFacts.of_checkpoint(folder)
 
 
 def _digest_of(folder: Path) -> str | None:
@@ -241,12 +303,13 @@ def _digest_of(folder: Path) -> str | None:
     return weights_digest(load_file(weights)) if weights.is_file() else None
 
 
-def _write_processors(policy: MimicIKPolicy, folder: Path | None, out: Path) -> None:
+def _write_processors(policy: LearnedIKPolicy, folder: Path | None, out: Path) -> None:
     """Processors, and what else belongs to the checkpoint, from its folder; without one, new processors."""
     if folder is None:
-        from lerobot_mimicik.processor_mimicik import make_mimicik_pre_post_processors
+        from lerobot.processor import make_default_pre_post_processors
 
-        for processor in make_mimicik_pre_post_processors(policy.config):
+        # Those of every kind here: each normalises by itself.
+        for processor in make_default_pre_post_processors(policy.config, None):
             processor.save_pretrained(out)
         return
     for file in sorted(path for pattern in _CHECKPOINT_FILES for path in folder.glob(pattern)):

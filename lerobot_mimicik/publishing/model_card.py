@@ -8,20 +8,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from huggingface_hub import ModelCard, ModelCardData
 
 from lerobot_mimicik.kinematics.urdf import Joint, read_urdf
+from lerobot_mimicik.publishing.training_facts import TrainingFacts
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+    from lerobot_mimicik.modeling_learned import LearnedIKPolicy
 
 TAGS = ("robotics", "lerobot", "mimicik", "inverse-kinematics")
+KEPT_BELOW = "<!-- What stands below this line is kept when the checkpoint is pushed again. -->"
 LOCAL_NAMESPACE = "local/"
 """Datasets of this user are folders of the machine that trained: they have no page to link to."""
 
+_FORESIGHT = "mimicik_foresight"
+_NAMES = {"mimicik": "MimicIK", _FORESIGHT: "MimicIK foresight"}
 _OBJECTIVES = {
     "mip": "minimal iterative policy, two evaluations, t* = {t_star:g}",
     "flow": "flow matching, {flow_steps} Euler steps",
@@ -33,32 +36,12 @@ _CONDITIONINGS = {
 }
 
 
-@dataclass(frozen=True)
-class TrainingFacts:
-    """What a card tells about a training; None where it is not known.
-
-    Attributes:
-        dataset: LeRobot repository of the training data.
-        episodes: Episodes in that dataset.
-        frames: Frames in that dataset.
-        fps: Frames a second: the rate at which commands are meant to be asked for.
-        batch_size: Samples of one process's step.
-        seed: Of the training.
-    """
-
-    dataset: str | None = None
-    episodes: int | None = None
-    frames: int | None = None
-    fps: float | None = None
-    batch_size: int | None = None
-    seed: int | None = None
-
-
 def model_card(
-    policy: MimicIKPolicy,
+    policy: LearnedIKPolicy,
     repo_id: str | None = None,
     training: TrainingFacts | None = None,
     report: Mapping[str, Any] | None = None,
+    picture: str | None = None,
     license: str | None = None,
     tags: Sequence[str] | None = None,
 ) -> ModelCard:
@@ -71,6 +54,7 @@ def model_card(
         repo_id: Where it is published; a placeholder stands in the commands without it.
         training: What is known of the training.
         report: `report.json` of `mimicik eval` for these very weights; None if there is none.
+        picture: Caption of `singularity.gif` beside the card; None if there is no such picture.
         license: The publisher's licence for the weights; `unknown` if none is given, because only
             the publisher can grant one.
         tags: Further tags.
@@ -83,41 +67,54 @@ def model_card(
         pipeline_tag="robotics",
         tags=sorted({*TAGS, *(tags or ())}),
         datasets=[known_dataset] if known_dataset else None,
-        model_name="mimicik",
+        model_name=policy.config.type,
     )
     robot = read_urdf(policy.config.urdf).name
     name = repo_id or "USER/NAME"
     sections = [
         f"---\n{data.to_yaml()}\n---\n",
-        f"# MimicIK for {robot}\n",
+        f"# {_NAMES.get(policy.config.type, policy.config.type)} for {robot}\n",
         _summary(policy, robot),
-        "## Robot\n",
-        _robot(policy, robot),
-        "## Accuracy\n",
-        _accuracy(name, report),
         "## Use\n",
         _use(policy, name, training.fps or _recorded_rate(report)),
+        *(
+            []
+            if picture is None
+            else [f"![{robot} led through a singularity](singularity.gif)\n\n{picture}\n"]
+        ),
+        "## Accuracy\n",
+        _accuracy(policy, name, report),
+        "## Data\n",
+        _data(training),
+        "## Robot\n",
+        _robot(policy, robot),
         "## Training\n",
         _training(policy, training),
         "## Limits\n",
         _limits(policy),
         "## Licence and data\n",
         _licence(training, license),
+        f"{KEPT_BELOW}\n",
     ]
     return ModelCard("\n".join(sections))
 
 
-def _summary(policy: MimicIKPolicy, robot: str) -> str:
+def _summary(policy: LearnedIKPolicy, robot: str) -> str:
+    what = (
+        "A hand that trembles asks for poses that it does not mean: from its last targets this network tells what the hand "
+        "means, and moves the target of the guided solver by at most the radius that its user allows."
+        if policy.config.type == _FORESIGHT
+        else "From the measured joints and a target end-effector pose, the next joint command."
+    )
     return (
-        f"Inverse kinematics of the {policy.config.dof}-joint arm *{robot}*, learned from teleoperation: "
-        "from the measured joints and a target end-effector pose, the next joint command. A "
-        "[LeRobot](https://github.com/huggingface/lerobot) policy of type `mimicik`, after *MimicIK: "
+        f"Inverse kinematics of the {policy.config.dof}-joint arm *{robot}*, learned from teleoperation. {what} A "
+        f"[LeRobot](https://github.com/huggingface/lerobot) policy of type `{policy.config.type}`, after *MimicIK: "
         "Real-Time Generative Inverse Kinematics from Teleoperation with FK Consistency*. The checkpoint "
         "holds the robot's URDF, the normalisation and the processors: nothing else is needed to run it.\n"
     )
 
 
-def _robot(policy: MimicIKPolicy, robot: str) -> str:
+def _robot(policy: LearnedIKPolicy, robot: str) -> str:
     config = policy.config
     joints = config.arm_description().joints()
     steps = [max(abs(low), abs(high)) for low, high in zip(*_step_bounds(policy), strict=True)]
@@ -147,27 +144,28 @@ def _robot(policy: MimicIKPolicy, robot: str) -> str:
     )
 
 
-def _accuracy(name: str, report: Mapping[str, Any] | None) -> str:
+def _accuracy(policy: LearnedIKPolicy, name: str, report: Mapping[str, Any] | None) -> str:
     if report is None:
         return (
             "No evaluation is recorded for these weights. To measure them on recorded motion, and to add the "
             "table here:\n\n"
             f"```bash\nmimicik eval --policy.path={name} --dataset.root=DATASET --output=outputs/eval\n```\n\n"
             "```python\n"
-            "from lerobot_mimicik.modeling_mimicik import MimicIKPolicy\n\n"
-            f'policy = MimicIKPolicy.from_pretrained("{name}")\n'
+            "from lerobot_mimicik.checkpoints import load_policy\n\n"
+            f'policy = load_policy("{name}")\n'
             f'policy.push_to_hub("{name}", report="outputs/eval")\n'
             "```\n"
         )
-    from lerobot_mimicik.evaluation.report import markdown_table
+    from lerobot_mimicik.evaluation.short_table import legend, markdown, measured
 
-    rows = report["rows"]
+    rows, missing = measured(report["rows"])
     notes = [
         f"- {row['solver']}, {row['mode'].replace('_', ' ')}, {row['dataset']}: "
         f"{row['verdict']}, {row['reason']}."
         for row in rows
         if row.get("reason")
     ]
+    notes += [f"- {name} was not measured: {reason}" for name, reason in missing.items()]
     notes += [
         f"- Dataset {found['name']}: {found['episodes']} episodes, {found['frames']} frames "
         f"at {found['fps']:g} fps."
@@ -182,77 +180,80 @@ def _accuracy(name: str, report: Mapping[str, Any] | None) -> str:
     return (
         "Made by `mimicik eval` with these weights; `report.json` has every figure. *Open loop*: the "
         "recorded joints go in at every frame. *Closed loop*: each command is the next measurement. *hold*: "
-        "the arm does not move, which shows what the data alone gives. Rates are in percent of frames.\n\n"
-        + markdown_table(rows)
+        "the arm does not move, which shows what the data alone gives.\n\n"
+        + markdown(rows)
+        + f"\n{legend()}\n"
         + ("\n" + "\n".join(notes) + "\n" if notes else "")
     )
 
 
-def _use(policy: MimicIKPolicy, name: str, fps: float | None) -> str:
+def _use(policy: LearnedIKPolicy, name: str, fps: float | None) -> str:
     lower, upper = policy.arm.lower.tolist(), policy.arm.upper.tolist()
     pose = [
         round((low + high) / 2, 3) if math.isfinite(high - low) else 0.0
         for low, high in zip(lower, upper, strict=True)
     ]
     rate = f"{fps:g} Hz" if fps else "the rate of the training data"
+    alone = "" if policy.config.type == _FORESIGHT else _network_alone(policy, name, pose)
     return (
-        "With the plugin `lerobot_policy_mimicik` installed beside LeRobot, in Python:\n\n"
+        "Install the plugin `lerobot_policy_mimicik` beside LeRobot 0.6 (Python 3.12): `pip install -e .` in a checkout of "
+        "it. Then, in Python, behind the solver that keeps limits and step bounds and says whether the target is met:\n\n"
         "```python\n"
-        "import torch\n\n"
-        "from lerobot_mimicik.modeling_mimicik import MimicIKPolicy\n\n"
-        f'policy = MimicIKPolicy.from_pretrained("{name}")\n'
-        "policy.reset()  # whenever an episode starts\n"
-        f"q = torch.tensor([{pose}])  # measured joints, rad, shape (1, {len(pose)})\n"
-        "target = policy.arm.forward(q)  # the pose asked for: x y z qx qy qz qw, shape (1, 7)\n"
-        "target[:, 2] += 0.002\n"
-        f"q_cmd = policy.predict_joints(q, target)  # joint command, rad, shape (1, {len(pose)})\n"
+        "import numpy as np\n\n"
+        "from robot_adapters.adapter import MimicIKAdapter\n\n"
+        f'adapter = MimicIKAdapter.from_pretrained("{name}")\n'
+        f"q = np.array({pose})  # measured joints, rad\n"
+        "target = adapter.forward(q)  # the pose asked for: x y z qx qy qz qw\n"
+        "target[2] += 0.002\n"
+        "result = adapter.solve(q, target)\n"
+        "print(result.status, result.q, result.position_error)  # joints to command, rad; error, m\n"
         "```\n\n"
-        f"Ask once per control step, at {rate}. In LeRobot's terms (`select_action`) the target is the "
-        f"observation `{policy.config.target_pose_key}`, and commands come in the dataset's units. On the "
-        "command line:\n\n"
+        f"Ask once per control step, at {rate}. {alone}On the command line:\n\n"
         "```bash\n"
         "# How accurate is it?\n"
         f"mimicik eval --policy.path={name} --dataset.root=DATASET --output=outputs/eval\n"
+        "# See it.\n"
+        f"mimicik play --policy.path={name}\n"
         "# Train it further.\n"
         f"lerobot-train --policy.path={name} --dataset.repo_id=USER/DATASET\n"
         "```\n"
     )
 
 
-def _training(policy: MimicIKPolicy, training: TrainingFacts) -> str:
-    config = policy.config
-    parameters = sum(parameter.numel() for parameter in policy.network.parameters())
-    fk_step = (
-        "an optimiser step of its own" if config.fk_update == "separate" else "one sum with the objective"
+def _network_alone(policy: LearnedIKPolicy, name: str, pose: list[float]) -> str:
+    kind = type(policy)
+    return (
+        "The network alone:\n\n"
+        "```python\n"
+        "import torch\n\n"
+        f"from {kind.__module__} import {kind.__name__}\n\n"
+        f'policy = {kind.__name__}.from_pretrained("{name}")\n'
+        "policy.reset()  # whenever an episode starts\n"
+        f"q = torch.tensor([{pose}])  # shape (1, {len(pose)})\n"
+        f"q_cmd = policy.predict_joints(q, policy.arm.forward(q + 0.01))  # rad, shape (1, {len(pose)})\n"
+        "```\n\n"
+        f"In LeRobot's terms (`select_action`) the target is the observation `{policy.config.target_pose_key}`, and "
+        "commands come in the dataset's units. "
     )
-    sizes = {
-        name: value
-        for name, value in (
-            ("episodes", training.episodes),
-            ("frames", training.frames),
-            ("fps", training.fps),
-        )
-        if value is not None
-    }
+
+
+def _data(training: TrainingFacts) -> str:
+    motion = training.motion or "What motion it was trained on is not recorded."
+    size = (
+        f" {training.episodes:,} episodes, {training.frames:,} frames at {training.fps:g} a second."
+        if training.episodes and training.frames and training.fps
+        else ""
+    )
+    return f"Dataset: {_dataset(training.dataset)}. {motion}{size}\n"
+
+
+def _training(policy: LearnedIKPolicy, training: TrainingFacts) -> str:
+    config = policy.config
     rows: list[tuple[str, str]] = [
         ("dataset", _dataset(training.dataset)),
-        *(
-            (f"{name} of the dataset", f"{value:g}" if name == "fps" else f"{value:,}")
-            for name, value in sizes.items()
-        ),
         ("target joints", "recorded command" if config.target == "action" else "state one frame later"),
         ("target pose", "recorded" if config.target_pose_recorded else "FK of the target joints"),
-        ("network sees", f"{config.n_obs_steps} frames: {_CONDITIONINGS[config.conditioning]}"),
-        (
-            "objective",
-            _OBJECTIVES[config.objective].format(t_star=config.t_star, flow_steps=config.flow_steps),
-        ),
-        ("FK consistency loss", f"weight {config.fk_weight:g}, in {fk_step}" if config.fk_weight else "none"),
-        (
-            "network",
-            f"{config.n_layers} layers, width {config.d_model}, {config.n_heads} heads, "
-            f"{parameters:,} parameters",
-        ),
+        *_method(policy),
         ("weights used", f"moving average, decay {config.ema_decay:g}"),
         ("steps", f"{int(policy.training_step):,}"),
         *(
@@ -265,7 +266,40 @@ def _training(policy: MimicIKPolicy, training: TrainingFacts) -> str:
     return _table(("setting", "value"), rows)
 
 
-def _limits(policy: MimicIKPolicy) -> str:
+def _method(policy: LearnedIKPolicy) -> list[tuple[str, str]]:
+    """What the network sees, learns and is, by the kind of policy."""
+    config: Any = policy.config
+    parameters = f"{sum(parameter.numel() for parameter in policy.network.parameters()):,} parameters"
+    fk_step = (
+        "an optimiser step of its own" if config.fk_update == "separate" else "one sum with the objective"
+    )
+    rows = [
+        ("FK consistency loss", f"weight {config.fk_weight:g}, in {fk_step}" if config.fk_weight else "none")
+    ]
+    if hasattr(config, "objective"):
+        objective = _OBJECTIVES[config.objective].format(t_star=config.t_star, flow_steps=config.flow_steps)
+        rows.insert(0, ("objective", objective))
+    if config.type == _FORESIGHT:
+        return [
+            ("network sees", f"{config.n_obs_steps} targets and the commands after them"),
+            (
+                "tremor in training",
+                f"0 to {config.tremor_mm:g} mm, half a degree per mm; none in {config.steady:.0%}",
+            ),
+            ("closed loop", f"driven by its own commands, anew every {config.rollout_every:,} steps"),
+            *rows,
+            ("network", f"{config.n_layers} layers, width {config.hidden_dim}, {parameters}"),
+        ]
+    sees = f"{config.n_obs_steps} frames: {_CONDITIONINGS[config.conditioning]}"
+    size = (
+        f"{config.n_layers} layers, width {config.d_model}, {config.n_heads} heads, {parameters}"
+        if config.type == "mimicik"
+        else parameters
+    )
+    return [("network sees", sees), *rows, ("network", size)]
+
+
+def _limits(policy: LearnedIKPolicy) -> str:
     step = (
         "Commands stay within the joint steps seen in training (table above), so a target further away than "
         "one frame's motion is approached over several calls."
@@ -305,7 +339,7 @@ def _recorded_rate(report: Mapping[str, Any] | None) -> float | None:
     return rates.pop() if len(rates) == 1 else None
 
 
-def _step_bounds(policy: MimicIKPolicy) -> tuple[list[float], list[float]]:
+def _step_bounds(policy: LearnedIKPolicy) -> tuple[list[float], list[float]]:
     """Smallest and largest joint difference per frame seen in training, rad or m."""
     return policy.delta.lower.tolist(), policy.delta.upper.tolist()
 
