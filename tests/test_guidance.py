@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lerobot_mimicik.guidance.certificate import Reason
+from lerobot_mimicik.guidance.compilation import is_compiled
 from lerobot_mimicik.guidance.guided import Guidance
 from lerobot_mimicik.guidance.model import ArmModel, arm_model
 from lerobot_mimicik.guidance.settings import GuidanceSettings, PoseTask
@@ -335,3 +336,9 @@ _SEVENTH = """<link name="l7"/><joint name="j6" type="revolute"><parent link="l6
 def test_settings_that_do_not_exist_or_do_not_fit_are_named(settings, reason):
     with pytest.raises(ValueError, match=re.escape(reason)):
         GuidanceSettings.of(settings)
+
+
+def test_it_is_known_whether_the_first_call_will_compile(tmp_path):
+    guidance().solve(HOME, MODEL.pose(HOME))
+    assert not is_compiled(tmp_path)
+    assert is_compiled()

@@ -1,17 +1,23 @@
 """A real teleoperation set of another arm: degrees, a gripper, no poses, and no usable commands."""
 
+import importlib
 import math
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from lerobot.datasets import LeRobotDataset
 from lerobot.scripts import lerobot_train
+from lerobot_commands import run_here
 
 from lerobot_mimicik.batches.loading import FrameTable
 from lerobot_mimicik.batches.statistics import iterate_frames
+from lerobot_mimicik.cli import make_dataset
 from lerobot_mimicik.kinematics.rotations import pose_error
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+from robot_adapters.wrapping import wrap_checkpoint
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +69,51 @@ def test_commands_come_in_degrees_with_the_gripper_passed_through(trained):
     assert command.shape == (1, 7)
     assert (command[:, :6] - state[:, :6]).abs().max() < 10.0
     assert command[0, 6] == state[0, 6]
+
+
+def test_it_becomes_poses_and_their_policy_drives_the_simulated_arm(shared_data, tmp_path, monkeypatch):
+    root = shared_data("piper_teleop/meta/info.json").parents[1]
+    options = ["--source=joints", "--space=ee", "--arm=piper", "--columns.joint_units=deg", "--fps=15"]
+    assert make_dataset.main([*options, f"--input={root}", f"--output={tmp_path / 'poses'}"]) == 0
+    run_here(
+        "lerobot.scripts.lerobot_train",
+        "--policy.type=act",
+        "--policy.push_to_hub=false",
+        "--policy.device=cpu",
+        "--policy.chunk_size=15",
+        "--policy.n_action_steps=15",
+        "--policy.dim_model=64",
+        "--policy.n_heads=4",
+        "--policy.dim_feedforward=128",
+        "--policy.n_encoder_layers=1",
+        "--policy.use_vae=false",
+        "--policy.optimizer_lr=1e-3",
+        "--dataset.repo_id=local/poses",
+        f"--dataset.root={tmp_path / 'poses'}",
+        f"--output_dir={tmp_path / 'act'}",
+        "--batch_size=16",
+        "--num_workers=0",
+        "--steps=20",
+        "--save_freq=20",
+        "--env_eval_freq=0",
+    )
+    policy = wrap_checkpoint(str(tmp_path / "act"), None, tmp_path / "wrapped")
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[1] / "examples")
+    observed = importlib.import_module("replay_recordings").ObservedSim
+    output = run_here(
+        "lerobot.scripts.lerobot_rollout",
+        f"--policy.path={policy}",
+        "--robot.type=mimicik_ee",
+        "--robot.arm.type=observed_sim",
+        "--robot.arm.arm=piper",
+        "--robot.arm.real_time=false",
+        "--fps=15",
+        "--duration=2",
+        "--device=cpu",
+        "--play_sounds=false",
+        "--return_to_initial_position=false",
+    )
+    assert "Rollout finished" in output
+    commands = np.array(observed.commands)
+    assert np.ptp(commands, axis=0).max() > 0.1
+    assert np.abs(np.diff(commands, axis=0)).max() < 0.0951

@@ -27,6 +27,7 @@ from lerobot_mimicik.guidance.certificate import (
     is_singular,
     smallest_singular,
 )
+from lerobot_mimicik.guidance.compilation import announce_compilation
 from lerobot_mimicik.guidance.descent import keep_bounds
 from lerobot_mimicik.guidance.kinematics_kernels import judge, split_poses
 from lerobot_mimicik.guidance.model import ArmModel
@@ -99,6 +100,7 @@ class Guidance:
         terms: Sequence[CostTerm] = (),
         foresight: Foresees | None = None,
     ) -> None:
+        announce_compilation()
         self.foresight = foresight
         self.model, self.settings, self.terms = model, settings or GuidanceSettings(), tuple(terms)
         given = self.settings
