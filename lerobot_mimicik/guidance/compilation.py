@@ -13,7 +13,7 @@ _log = logging.getLogger(__name__)
 
 def is_compiled(cache: str | Path | None = None) -> bool:
     """Whether the core is in numba's cache of this machine, or in the folder `cache`."""
-    return any(Path(cache or descend.stats.cache_path).glob("descent.descend-*.nbi"))
+    return any(Path(cache or str(descend.stats.cache_path)).glob("descent.descend-*.nbi"))
 
 
 @functools.cache
