@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ class IKOptions:
     orientation: str = "auto"
     # Axis of the tool for orientation=axis: x, y, z, -x, -y or -z.
     tool_axis: str = "z"
+    # Joints that an arm with joints to spare stays near, where the pose leaves them free [rad]; empty: its home.
+    posture: list[float] = field(default_factory=list)
 
     def load(self, arm: str | ArmDescription = "airbot_play") -> MimicIKAdapter:
         """The adapter, for an arm; a checkpoint knows its own.
@@ -82,4 +84,5 @@ class IKOptions:
             rotation_tolerance=self.rotation_tolerance,
             orientation=self.orientation,
             tool_axis=self.tool_axis,
+            posture_joints=tuple(self.posture),
         )

@@ -1,6 +1,7 @@
-"""Stock LeRobot commands on simulated arms of five, six and seven joints: a policy, a recording, its replay."""
+"""Arms of five, six and seven joints through the whole chain: data, training, stock rollout and recording, evaluation."""
 
 import importlib
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,14 @@ import pytest
 from lerobot.datasets import LeRobotDataset
 from lerobot_commands import run_here
 
+from lerobot_mimicik.cli.main import main
+from lerobot_mimicik.data.teleoperation.synthetic import make_synthetic
+from lerobot_mimicik.kinematics.arms import describe_arm
+from robot_adapters.adapter import IKStatus, MimicIKAdapter
 from robot_adapters.wrapping import wrap_checkpoint
 
 ARMS = ("so101", "piper", "panda")
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+ROOT = Path(__file__).resolve().parents[1]
 QUIET = "--play_sounds=false"
 
 
@@ -26,12 +31,34 @@ def act_for_poses(act_run, tmp_path_factory):
     return wrap_checkpoint(str(act_run), None, tmp_path_factory.mktemp("wrapped") / "act_ee")
 
 
-@pytest.mark.parametrize("arm", ARMS)
-def test_a_policy_in_end_effector_space_is_rolled_out_and_the_arm_brought_back(act_for_poses, arm):
+@pytest.fixture(scope="module", params=ARMS)
+def trained(request, tmp_path_factory):
+    """An arm, the folder of its generated data, and a small MimicIK policy trained on it for 200 steps."""
+    arm, folder = request.param, tmp_path_factory.mktemp(request.param)
+    make_synthetic(folder / "data", 4, describe_arm(arm), ood=False, progress=False, workers=1)
+    run_here(
+        "lerobot.scripts.lerobot_train",
+        f"--config_path={ROOT / 'configs' / 'small.json'}",
+        f"--dataset.root={folder / 'data' / 'train'}",
+        f"--output_dir={folder / 'run'}",
+        "--policy.device=cpu",
+        "--policy.d_model=16",
+        "--policy.n_layers=1",
+        "--policy.d_ff=32",
+        "--batch_size=32",
+        "--steps=200",
+        "--save_freq=200",
+    )
+    return arm, folder
+
+
+def test_a_policy_in_end_effector_space_drives_it_with_what_was_learned(act_for_poses, trained):
+    arm, folder = trained
     output = run_here(
         "lerobot.scripts.lerobot_rollout",
         f"--policy.path={act_for_poses}",
         *robot(arm),
+        f"--robot.ik.path={folder / 'run'}",
         "--fps=20",
         "--duration=2",
         "--device=cpu",
@@ -42,9 +69,25 @@ def test_a_policy_in_end_effector_space_is_rolled_out_and_the_arm_brought_back(a
     assert "Could not return" not in output
 
 
+def test_poses_of_its_data_are_reached_and_evaluated(trained, capsys):
+    arm, folder = trained
+    adapter = MimicIKAdapter.from_pretrained(folder / "run")
+    assert adapter.description.urdf == describe_arm(arm).urdf  # the dataset and the checkpoint carried it
+    frames = LeRobotDataset("local/test", root=folder / "data" / "test").hf_dataset.with_format("numpy")[:20]
+    for q, target in zip(frames["observation.state"], frames["observation.ee_target"], strict=True):
+        adapter.reset()
+        assert adapter.solve(q, target).status is IKStatus.REACHED
+    options = ["--mode=closed_loop", "--solvers=mimicik_guided", "--episodes=1", "--latency_queries=3"]
+    data = [f"--policy.path={folder / 'run'}", f"--dataset.root={folder / 'data' / 'test'}"]
+    assert main(["eval", *data, *options, f"--output={folder / 'report'}"]) == 0
+    capsys.readouterr()
+    row = json.loads((folder / "report" / "report.json").read_text())["rows"][0]
+    assert row["mean_mm"] < 1.0
+
+
 @pytest.mark.parametrize("arm", ARMS)
 def test_recorded_from_a_teleoperator_then_replayed(arm, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.syspath_prepend(ROOT / "examples")
     example = importlib.import_module("replay_recordings")
     example.write(example.recordings(arm, 40)["circle"], tmp_path / "poses", fps=20)
     dataset = ["--dataset.repo_id=local/recorded", f"--dataset.root={tmp_path / 'recorded'}"]
