@@ -21,7 +21,13 @@ from lerobot_mimicik.guidance.guided import Guidance
 from lerobot_mimicik.guidance.model import arm_model
 from lerobot_mimicik.guidance.settings import GuidanceSettings
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
-from lerobot_mimicik.kinematics.plausibility import joint_limits, why_not_joints, why_not_order, why_not_poses
+from lerobot_mimicik.kinematics.plausibility import (
+    joint_limits,
+    why_not_joints,
+    why_not_order,
+    why_not_poses,
+    why_not_same_arm,
+)
 from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.kinematics.poses import PolicyFrames, decode_pose, pose_distance
 from lerobot_mimicik.kinematics.poses import PoseFormat as PoseFormat
@@ -173,6 +179,22 @@ class MimicIKAdapter:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, in the order of every q here."""
         return tuple(self.description.joint_names)
+
+    def check_arm(self, driven: ArmDescription, source: str) -> None:
+        """See that this is the inverse kinematics of an arm that is to be driven; tools may differ.
+
+        Args:
+            driven: the arm.
+            source: what this was made from, for the message.
+
+        Raises:
+            ValueError: it is another arm's, even one whose joints have the same names.
+        """
+        reason = why_not_same_arm(self.description, driven)
+        if reason is not None:
+            raise ValueError(
+                f"{source} is the checkpoint of another arm than the one that is driven: {reason}"
+            )
 
     def forward(self, q: ArrayLike) -> Array:
         """`T_base_tool` (7,) of joints (dof,) [rad]."""

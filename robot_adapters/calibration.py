@@ -112,9 +112,12 @@ def read_observations(
     Raises:
         FileNotFoundError: No such file; ValueError: it is not such a list, and in which entry.
     """
-    entries = json.loads(Path(path).read_text(encoding="utf-8"))
+    try:
+        entries = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is no JSON file: {error}") from error
     if not isinstance(entries, list) or not entries:
-        raise ValueError(f"{path}: expected a list of observations, found {type(entries).__name__}")
+        raise ValueError(f"{path}: expected a list of at least one observation, found {str(entries)[:50]}")
     found = []
     for number, entry in enumerate(entries):
         try:
@@ -122,7 +125,7 @@ def read_observations(
             held, position = _known(entry, joint_names)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(
-                f"{path}, entry {number}: expected joints and held or position, found {entry!r} ({error!r})"
+                f"{path}, entry {number}: expected joints and held or position, found {str(entry)[:200]} ({error!r})"
             ) from error
         found.append((reported, Observation(np.empty(0), held, position)))
     return found

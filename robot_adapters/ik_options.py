@@ -42,13 +42,14 @@ class IKOptions:
     posture: list[float] = field(default_factory=list)
 
     def load(self, arm: str | ArmDescription = "airbot_play") -> MimicIKAdapter:
-        """The adapter, for an arm; a checkpoint knows its own.
+        """The adapter, for an arm; a checkpoint may know another tool of it.
 
         Raises:
-            ValueError: With path and address; FileNotFoundError, TypeError: if there is no
+            ValueError: With path and address, or a checkpoint of another arm; FileNotFoundError, TypeError: if there is no
                 MimicIK checkpoint; TimeoutError: nobody answers at the address.
         """
         from lerobot_mimicik.foresight.weights import shipped
+        from lerobot_mimicik.kinematics.arms import describe_arm
         from robot_adapters.adapter import MimicIKAdapter
 
         path = "" if self.path == "none" else self.path
@@ -58,13 +59,14 @@ class IKOptions:
             return MimicIKAdapter.for_arm(arm, **asdict(self.settings()))
         if path in shipped():
             return MimicIKAdapter.for_arm(arm, path, **asdict(self.settings()))
+        description = describe_arm(arm) if isinstance(arm, str) else arm
         if path:
-            return MimicIKAdapter.from_pretrained(path, self.device, **asdict(self.settings()))
-        from lerobot_mimicik.kinematics.arms import describe_arm
+            adapter = MimicIKAdapter.from_pretrained(path, self.device, **asdict(self.settings()))
+            adapter.check_arm(description, f"ik.path={path}")
+            return adapter
         from lerobot_mimicik.kinematics.chain import SerialArm
         from lerobot_mimicik.solvers import make_solver
 
-        description = describe_arm(arm) if isinstance(arm, str) else arm
         keys = {"secret_key": self.secret_key, "server_key": self.server_key}
         solver = make_solver(
             "remote", SerialArm(description), address=self.address, solver=self.solver, **keys

@@ -75,7 +75,10 @@ def wrap_checkpoint(
     joint_names: Sequence[str] = ()
     if ik_path is not None:
         adapter = MimicIKAdapter.from_pretrained(ik_path)
-        assert isinstance(adapter.solver, MimicIKSolver)  # what from_pretrained makes
+        if not isinstance(adapter.solver, MimicIKSolver):
+            raise ValueError(
+                f"{ik_path} is a checkpoint of foresight, which a wrapped policy does not take: expected one of MimicIK"
+            )
         policy = adapter.solver.policy
         joint_names = adapter.joint_names
         shared: dict[str, Any] = {

@@ -1,6 +1,8 @@
 """Calibration offsets: found from postures held and from positions, shown, kept, and refused where they are not known."""
 
+import io
 import json
+import re
 
 import numpy as np
 import pytest
@@ -87,11 +89,49 @@ def test_the_command_keeps_nothing_that_is_not_known(tmp_path, capsys):
         (["--side=left"], "it has one arm"),
         (["--postures=[bent]"], "home, rest, zero"),
         (["--recording=nowhere.json"], "nowhere.json"),
+        ([], "nobody can press Enter"),
     ],
 )
-def test_errors_name_the_thing(tmp_path, capsys, options, reason):
+def test_errors_name_the_thing(tmp_path, monkeypatch, capsys, options, reason):
+    monkeypatch.setattr("sys.stdin", io.StringIO())
     words = ["calibrate", *robot(tmp_path), *options]
     if options == ["--robot.type="]:
         words = ["calibrate"]
     assert main(words) == 1
     assert reason in capsys.readouterr().err
+
+
+HELD = dict.fromkeys(NAMES, 0.0)
+JOINTS = {f"{name}.pos": 1.0 for name in NAMES}
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("{", "poses.json is no JSON file"),
+        ("[" * 100_000, "poses.json is no JSON file"),
+        (json.dumps([{"joints": {}, "held": HELD}]), "poses.json, entry 0: .*shoulder_pan.pos"),
+        # Offsets of more than half a turn are another unit or another arm's postures.
+        (
+            json.dumps([{"joints": JOINTS | {"elbow_flex.pos": 1e6}, "held": HELD}]),
+            "are the robot's joints in another unit",
+        ),
+    ],
+)
+def test_recordings_that_cannot_be_are_refused_and_nothing_is_kept(tmp_path, capsys, text, reason):
+    (tmp_path / "poses.json").write_text(text)
+    assert main(["calibrate", *robot(tmp_path), f"--recording={tmp_path / 'poses.json'}"]) == 1
+    assert re.search(reason, capsys.readouterr().err)
+    assert not (tmp_path / "mine.offsets.json").exists()
+
+
+def test_damaged_offsets_are_measured_anew_and_a_file_of_somebody_else_is_kept(tmp_path, capsys):
+    offsets, recording = tmp_path / "mine.offsets.json", tmp_path / "poses.json"
+    recording.write_text(json.dumps([{"joints": JOINTS, "held": HELD}]))
+    offsets.write_text("my thesis")
+    assert main(["calibrate", *robot(tmp_path), f"--recording={recording}"]) == 1
+    assert "is not replaced" in capsys.readouterr().err
+    assert offsets.read_text() == "my thesis"
+    offsets.write_text('{"offsets_rad": {"elbow_flex": 17453.0}}')
+    assert main(["calibrate", *robot(tmp_path), f"--recording={recording}"]) == 0
+    np.testing.assert_allclose(read_offsets(offsets, NAMES), np.radians(-1.0))

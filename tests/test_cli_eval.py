@@ -16,6 +16,7 @@ from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.data.writer import Episode, write_dataset
 from lerobot_mimicik.evaluation.report import ROW_KEYS
 from lerobot_mimicik.evaluation.rollouts import make_rollouts
+from lerobot_mimicik.foresight.weights import SHIPPED
 from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
 from lerobot_mimicik.solvers import make_solver, register_solver
 from lerobot_mimicik.solvers.availability import Package
@@ -122,6 +123,13 @@ def test_a_missing_solver_is_a_row_with_the_reason(made, capsys):
 def test_wrong_options_are_refused_with_what_exists(made, option, message, capsys):
     assert main(["eval", f"--dataset.root={made / 'data'}", option]) == 1
     assert message in capsys.readouterr().err
+
+
+def test_foresight_alone_runs_the_checkpoint_that_it_is_given_or_none(made, capsys):
+    # What the package ships is part of a checkpoint, no policy.
+    options = ["--solvers=foresight_alone", f"--policy.path={SHIPPED / 'airbot_play'}"]
+    assert main(["eval", f"--dataset.root={made / 'data'}", *options]) == 1
+    assert "training_step is missing" in capsys.readouterr().err
 
 
 def test_a_checkpoint_is_found_from_any_folder_above_it(made):

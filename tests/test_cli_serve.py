@@ -4,13 +4,18 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from evaluation_cases import airbot, trajectory
 
+from lerobot_mimicik.cli.eval import PolicySource
 from lerobot_mimicik.cli.main import main
 from lerobot_mimicik.cli.options import underscored
+from lerobot_mimicik.cli.serve import ServeConfig, solvers_of
+from lerobot_mimicik.foresight.weights import SHIPPED
+from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.solvers import make_solver
 
 
@@ -73,6 +78,7 @@ def test_keys_are_made_and_serve_a_client_that_has_its_own(tmp_path, capsys):
         ("--solvers=hold,magic", "unknown magic; known are"),
         ("--solvers=remote", "unknown remote"),
         ("--solvers=mimicik", "--policy.path is missing"),
+        ("--solvers=mlp", "--policy.path is missing"),
         ("--bind=tcp://0.0.0.0:5555", "must have keys"),
         ("--bind=5555", "tcp://HOST:PORT"),
         (f"--secret_key={__file__}", "--allowed_keys belong together"),
@@ -86,9 +92,35 @@ def test_wrong_options_are_refused_with_what_would_do(option, message, capsys):
     assert message in capsys.readouterr().err
 
 
-def test_more_requests_at_once_than_the_server_lets_wait_are_refused_at_once(capsys):
-    assert main(["benchmark-server", "--window=32"]) == 1
-    assert "--window=32: expected 1 to 16" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("--window=32", "--window=32: expected 1 to 16"),
+        ("--window=0", "--window=0: expected 1 to 16"),
+        ("--rounds=0", "--rounds=0: expected at least 1"),
+        ("--seconds=nan", "--seconds=nan: expected"),
+        ("--clients=0", "--clients=0: expected 1 to"),
+        ("--batch_rows=0", "--batch_rows=0: expected 1 to"),
+        ("--bind=5555", "tcp://HOST:PORT"),
+        ("--bind=tcp://0.0.0.0:5555", "address of this computer"),
+        ("--solver=mimicik", "--policy.path is missing"),
+        ("--policy.path=./nowhere", "nowhere does not exist"),
+    ],
+)
+def test_what_the_benchmark_cannot_measure_is_refused_before_a_server_starts(option, message, capsys):
+    assert main(["benchmark-server", option]) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_a_server_of_foresight_answers_with_the_checkpoint_that_it_was_given():
+    own = ServeConfig(PolicySource(str(SHIPPED / "piper")), solvers="foresight,foresight_alone")
+    arm, factories = solvers_of(own)
+    assert arm.description.tip_link == describe_arm("piper").tip_link
+    for make in factories.values():
+        make().reset(np.array(describe_arm("piper").home))
+    _, factories = solvers_of(replace(own, arm="airbot_play"))
+    with pytest.raises(ValueError, match="another arm's"):
+        factories["foresight"]()
 
 
 def test_dashes_in_option_names_are_as_good_as_underscores():

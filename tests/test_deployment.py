@@ -12,6 +12,7 @@ from pace import judged_by_the_pace
 from lerobot_mimicik.cli.main import main
 from lerobot_mimicik.evaluation.rollouts import RolloutOptions, known_modes, make_rollouts
 from lerobot_mimicik.evaluation.trajectories import Trajectory
+from lerobot_mimicik.foresight.weights import SHIPPED
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.solvers import make_solver
@@ -278,6 +279,12 @@ def test_every_driver_has_what_an_arm_needs(name):
         checks = arm_checks(name, "virtual", cell.channel, cell.clock)
         assert "motors" in [check.name for check in checks.checks()]
         checks.close()
+
+
+def test_deploy_drives_no_arm_with_another_arms_checkpoint(tmp_path, capsys):
+    options = [f"--policy.path={SHIPPED / 'piper'}", "--interface=virtual", f"--output={tmp_path / 'out'}"]
+    assert main(["deploy", *options]) == 1
+    assert "checkpoint of another arm" in capsys.readouterr().err
 
 
 def test_an_arm_that_nobody_drives_is_refused_by_name():

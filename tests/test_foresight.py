@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import load_file, save_file
 
 from lerobot_mimicik.batches.rollouts import Hand, drive, pieces
 from lerobot_mimicik.cli import main as cli
@@ -184,6 +185,59 @@ def test_damaged_weights_and_other_arms_are_refused(checkpoint, tmp_path):
     broken.write_bytes(broken.read_bytes()[:500])
     with pytest.raises(ValueError, match="is damaged"):
         load_weights(broken.parent)
+
+
+@pytest.mark.parametrize(
+    ("tensor", "value", "message"),
+    [
+        ("mean", None, "mean is missing"),
+        ("mean", np.zeros(1), "mean has shape"),
+        ("scale", 0.0, "scale is not positive"),
+        ("layers.0.bias", np.nan, "layers.0.bias is not finite"),
+        ("layers.0.bias", np.zeros((1, 16)), "layers.0.bias has shape"),
+        ("layers.2.weight", np.zeros((16, 16), dtype=np.int32), "layers.2.weight holds int32"),
+        ("layers.9.weight", np.zeros((16, 16)), "layers.9.weight does not belong"),
+        ("layers.x", np.zeros(1), "layers.x does not belong"),
+    ],
+)
+def test_weights_load_strictly_and_what_is_wrong_is_named(checkpoint, tmp_path, tensor, value, message):
+    file, name = pack(checkpoint[1], tmp_path), f"average.network.{tensor}"
+    tensors = load_file(file)
+    if value is None:
+        del tensors[name]
+    else:
+        tensors[name] = np.full_like(tensors[name], value) if isinstance(value, float) else value
+    save_file(tensors, file)
+    with pytest.raises(ValueError, match=message):
+        load_weights(tmp_path)
+
+
+def test_tensors_that_are_no_policys_are_refused_by_name(checkpoint, tmp_path):
+    file = pack(checkpoint[1], tmp_path)
+    save_file(load_file(file) | {"payload": np.zeros(3)}, file)
+    with pytest.raises(ValueError, match="payload does not belong"):
+        load_weights(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("n_obs_steps", 10**9),  # would take the memory
+        ("n_obs_steps", None),
+        ("n_obs_steps", 14.7),
+        ("t_star", float("nan")),
+        ("t_star", None),
+        ("objective", "flow"),
+        ("joint_names", [1, 2]),
+        ("urdf", None),
+    ],
+)
+def test_a_hostile_configuration_of_weights_is_refused_with_the_folder(checkpoint, tmp_path, key, value):
+    pack(checkpoint[1], tmp_path)
+    config = json.loads((tmp_path / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps(config | {key: value}))
+    with pytest.raises(ValueError, match=tmp_path.name):
+        load_weights(tmp_path)
 
 
 @pytest.mark.parametrize("changes", [{"n_obs_steps": 4}, {"pace": 0.5}, {"steady": 1.0}, {"objective": "x"}])

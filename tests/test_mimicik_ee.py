@@ -13,8 +13,10 @@ from lerobot.robots.openarm_follower import OpenArmFollowerConfig, OpenArmFollow
 from lerobot.robots.so_follower import SO101FollowerConfig
 from lerobot.robots.utils import make_robot_from_config
 
+from lerobot_mimicik.foresight.weights import SHIPPED
 from lerobot_mimicik.kinematics.arms import describe_arm
 from robot_adapters.adapter import IKStatus
+from robot_adapters.ik_options import IKOptions
 from robot_adapters.robots.config_airbot_play import AirbotConnection, BiAirbotPlayConfig
 from robot_adapters.robots.config_mimicik_ee import JointRobot, MimicIKEEConfig
 from robot_adapters.robots.config_mimicik_sim import MimicIKSimConfig
@@ -290,3 +292,24 @@ def test_what_nobody_says_is_asked_for(tmp_path):
             make_robot_from_config(MimicIKEEConfig(arm=sim, calibration_dir=tmp_path, **options))
     with pytest.raises(ValueError, match="keys"):
         MimicIKEEConfig(arm=sim, keys="other")
+
+
+@pytest.mark.parametrize("gripper", [float("nan"), float("inf")])
+def test_a_gripper_that_is_no_number_stays(faced, gripper):
+    robot = faced(MimicIKSimConfig(arm="piper", real_time=False, noise=0.0))
+    seen = robot.get_observation()
+    assert robot.send_action(seen | {"ee.gripper.pos": gripper})["ee.gripper.pos"] == seen["ee.gripper.pos"]
+    press = {"delta_x": 0.0, "delta_y": 0.0, "delta_z": 0.0}
+    assert robot.send_action(press | {"gripper": gripper})["ee.gripper.pos"] == seen["ee.gripper.pos"]
+    assert robot.send_action(press | {"gripper": 2.0})["ee.gripper.pos"] > seen["ee.gripper.pos"]
+
+
+def test_a_unit_that_contradicts_the_robots_own_is_refused(faced):
+    with pytest.raises(ValueError, match="mimicik_sim counts its joints in rad"):
+        faced(MimicIKSimConfig(arm="piper", joint_units="rad", real_time=False), joint_units="deg")
+
+
+def test_a_checkpoint_of_another_arm_is_refused_although_its_joints_have_the_same_names(faced):
+    assert describe_arm("piper").joint_names == describe_arm("airbot_play").joint_names
+    with pytest.raises(ValueError, match="checkpoint of another arm"):
+        faced(MimicIKSimConfig(arm="piper", real_time=False), ik=IKOptions(path=str(SHIPPED / "airbot_play")))

@@ -121,11 +121,18 @@ def test_limits_hold_and_errors_name_the_thing(connected):
     ):
         with pytest.raises(ValueError, match=reason):
             MimicIKSimConfig(**options)
-    for options, reason in (({"arm": "no_arm"}, "no_arm"), ({"lag": 0.0}, r"lag=0\.0")):
+    for options, reason in (
+        ({"arm": "no_arm"}, "no_arm"),
+        ({"lag": 0.0}, r"lag=0\.0"),
+        ({"lag": 1e9}, "lag=1000000000"),  # it would hang on its servos in a century
+        ({"sag": 10.0}, r"sag=10\.0"),
+    ):
         with pytest.raises(ValueError, match=reason):
             make_robot_from_config(MimicIKSimConfig(**options))
     with pytest.raises(ValueError, match="start: expected 6"):
         connected(start=[0.0])
+    with pytest.raises(ValueError, match="as degrees the numbers would fit"):
+        connected(start=[0.0, 60.0, -90.0, 0.0, 0.0, 0.0])
 
 
 def test_it_is_shown_in_the_browser_while_it_is_connected(connected):

@@ -9,6 +9,7 @@ from lerobot.policies.factory import make_pre_post_processors
 from lerobot.processor import RobotProcessorPipeline
 from lerobot.processor.converters import robot_action_observation_to_transition, transition_to_robot_action
 
+from lerobot_mimicik.foresight.weights import SHIPPED
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.poses import PoseFormat, encode_pose
@@ -155,4 +156,6 @@ def test_wrapping_refuses_what_does_not_fit(act_run, mimicik_run, tmp_path):
     (tmp_path / "full" / "file").write_text("mine")
     with pytest.raises(FileExistsError):
         wrap_checkpoint(str(act_run), str(mimicik_run), tmp_path / "full")
+    with pytest.raises(ValueError, match="checkpoint of foresight"):
+        wrap_checkpoint(str(act_run), str(SHIPPED / "airbot_play"), tmp_path / "a")
     assert not (tmp_path / "a").exists()

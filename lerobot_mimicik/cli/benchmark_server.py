@@ -15,6 +15,8 @@ from lerobot_mimicik.cli.options import parse, say_loading
 
 HELP = "Measure the latency that the IK server adds, its queries a second, and the waiting beside a client with batches."
 
+_MOST_CLIENTS = 64  # processes, as many as the server keeps sessions by default
+
 
 @dataclass
 class BenchmarkServerConfig:
@@ -42,25 +44,30 @@ class BenchmarkServerConfig:
 def main(argv: Sequence[str]) -> int:
     """Parse the command line, measure and print."""
     config = parse(BenchmarkServerConfig, argv, "mimicik benchmark-server")
+    from lerobot_mimicik.cli.serve import ServeConfig, check_paths, solvers_of
+    from lerobot_mimicik.serving.limits import Limits
+    from lerobot_mimicik.serving.security import is_local
+
+    _check_numbers(config, Limits().max_waiting, Limits().max_rows)
+    if not is_local(config.bind):
+        raise ValueError(
+            f"--bind={config.bind}: expected an address of this computer, such as tcp://127.0.0.1:0"
+        )
+    served = ServeConfig(policy=config.policy, solvers=config.solver, arm=config.arm)
+    check_paths(served)
     say_loading()
     import torch
 
-    from lerobot_mimicik.kinematics.arms import describe_arm
-    from lerobot_mimicik.kinematics.chain import SerialArm
     from lerobot_mimicik.serving.benchmark import (
         compare_latency,
         local_rate,
         remote_rate,
         waiting_beside_batches,
     )
-    from lerobot_mimicik.serving.limits import Limits
-    from lerobot_mimicik.solvers import make_solver
     from lerobot_mimicik.solvers.remote_client import IKClient
 
-    if not 1 <= config.window <= (most := Limits().max_waiting):
-        raise ValueError(f"--window={config.window}: expected 1 to {most}, as many as the server lets wait")
-    arm = SerialArm(describe_arm(config.arm), dtype=torch.float64)
-    solver = make_solver(config.solver, arm, **({"policy": config.policy.path} if config.policy.path else {}))
+    arm, factories = solvers_of(served)
+    solver = factories[config.solver]()
     q = (0.5 * (arm.lower + arm.upper)).clamp(-1.0, 1.0).numpy()
     target = arm.forward(torch.from_numpy(q)).numpy()
     with _server(config) as address:
@@ -96,6 +103,22 @@ def main(argv: Sequence[str]) -> int:
     print(f"  longest delay by the batches               {waiting.beside_max_ms - waiting.alone_ms:10.2f}")
     print(f"  ({waiting.queries} queries; {waiting.rows_per_s:,.0f} frames of batches a second)")
     return 0
+
+
+def _check_numbers(config: BenchmarkServerConfig, most_waiting: int, most_rows: int) -> None:
+    """ValueError for what nothing can be measured with."""
+    if not 1 <= config.window <= most_waiting:
+        raise ValueError(
+            f"--window={config.window}: expected 1 to {most_waiting}, as many as the server lets wait"
+        )
+    if not 1 <= config.batch_rows <= most_rows:
+        raise ValueError(f"--batch_rows={config.batch_rows}: expected 1 to {most_rows}, as many as it takes")
+    if not 1 <= config.clients <= _MOST_CLIENTS:
+        raise ValueError(f"--clients={config.clients}: expected 1 to {_MOST_CLIENTS}")
+    if config.rounds < 1:
+        raise ValueError(f"--rounds={config.rounds}: expected at least 1")
+    if not 0.1 <= config.seconds <= 3600:
+        raise ValueError(f"--seconds={config.seconds}: expected 0.1 to 3600")
 
 
 @contextmanager

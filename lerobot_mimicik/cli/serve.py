@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
+from lerobot_mimicik.checkpoints import LEARNED
 from lerobot_mimicik.cli.eval import PolicySource
 from lerobot_mimicik.cli.options import parse, say_loading, words
 from lerobot_mimicik.kinematics.names import did_you_mean
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 HELP = "Answer IK questions of other processes and computers, for any solver, over ZeroMQ."
 
-_LEARNED = ("mimicik", "mimicik_guided")  # solvers that need the checkpoint
+_LEARNED = (*LEARNED, "mimicik_guided")  # solvers that need the checkpoint
 
 
 @dataclass
@@ -72,7 +73,7 @@ def main(argv: Sequence[str]) -> int:
         public, secret = make_keys(config.make_keys, config.key_name)
         print(f"{public} may be given to anybody; {secret} stays here.")
         return 0
-    _check_paths(config)
+    check_paths(config)
     with make_server(config) as server:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: server.stop())
@@ -82,7 +83,7 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-def _check_paths(config: ServeConfig) -> None:
+def check_paths(config: ServeConfig) -> None:
     """Say what does not exist before seconds go into imports."""
     from lerobot_mimicik.checkpoints import check_device, find_checkpoint
     from lerobot_mimicik.inputs import check_exists
@@ -117,7 +118,7 @@ def make_server(config: ServeConfig) -> IKServer:
         raise ValueError("--secret_key and --allowed_keys belong together; --make_keys=DIR makes a key pair.")
     if config.threads:
         torch.set_num_threads(config.threads)
-    arm, factories = _solvers(config)
+    arm, factories = solvers_of(config)
     limits = Limits(
         config.max_bytes, config.max_rows, config.max_sessions, config.rate, max(config.rate, 1.0)
     )
@@ -125,12 +126,15 @@ def make_server(config: ServeConfig) -> IKServer:
     return IKServer(factories, arm.joint_names, config.bind, limits, keys)
 
 
-def _solvers(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], IKSolver]]]:
+def solvers_of(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], IKSolver]]]:
+    """The arm and what makes each of its solvers. ValueError for an option that does not fit."""
     import torch
 
-    from lerobot_mimicik.checkpoints import load_policy
+    from lerobot_mimicik.checkpoints import find_checkpoint, load_policy
+    from lerobot_mimicik.foresight.weights import is_foresight, load_weights
     from lerobot_mimicik.kinematics.arms import describe_arm
     from lerobot_mimicik.kinematics.chain import SerialArm
+    from lerobot_mimicik.kinematics.plausibility import why_not_same_arm
     from lerobot_mimicik.solvers import known_solvers, make_solver
 
     known = [name for name in known_solvers() if name != "remote"]
@@ -146,15 +150,17 @@ def _solvers(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], IKS
         raise ValueError(f"--solvers names {learned[0]}, but --policy.path is missing: which checkpoint?")
     options: dict[str, dict[str, object]] = {}
     description = describe_arm(config.arm or "airbot_play")
+    if config.policy.path and is_foresight(found := find_checkpoint(config.policy.path)):
+        # Without a checkpoint of its own it has the package's weights.
+        options = {name: {"policy": found} for name in ("foresight", "foresight_alone")}
+        description = description if config.arm else load_weights(found).description
     if learned:
         policy = load_policy(config.policy.path, config.device or None)
-        options = {name: {"policy": policy} for name in learned}
+        options |= {name: {"policy": policy} for name in learned}
         own = policy.config.arm_description()
-        if config.arm and own.joint_names != description.joint_names:
-            raise ValueError(
-                f"--arm={config.arm} has joints {', '.join(description.joint_names)}, "
-                f"the policy drives {', '.join(own.joint_names)}."
-            )
+        reason = why_not_same_arm(description, own) if config.arm else None
+        if reason is not None:
+            raise ValueError(f"--arm={config.arm} is another arm than the policy's: {reason}.")
         description = description if config.arm else own
     arm = SerialArm(description, dtype=torch.float64)
     return arm, {name: partial(make_solver, name, arm, **options.get(name, {})) for name in names}

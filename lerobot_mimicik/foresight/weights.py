@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_mimicik.foresight.features import Features
-from lerobot_mimicik.foresight.network import FilterNetwork
+from lerobot_mimicik.foresight.network import FilterNetwork, lags
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 
 SHIPPED = Path(__file__).with_name("shipped")
@@ -19,6 +21,10 @@ KIND = "mimicik_foresight"
 """Type of a checkpoint's policy."""
 _AVERAGE = "average.network."  # the moving average: what a policy answers with
 _CONFIG, _TENSORS = "config.json", "model.safetensors"
+_MOST_TARGETS = 100
+"""Of a history, as in every policy's configuration: what a damaged one asks for must not take the memory."""
+_TRAINED = ("network.", "average.", "delta.", "conditioning.", "noise_seed", "training_step")
+"""What the names of a trained checkpoint's tensors begin with."""
 _KEPT = (
     "type", "urdf", "base_link", "tip_link", "joint_names", "tool_offset", "n_obs_steps", "objective", "t_star",
 )  # fmt: skip
@@ -78,12 +84,17 @@ def load_weights(where: str | Path) -> ForesightWeights:
         )
         if str(where) in shipped():  # a checkpoint keeps no home
             description = replace(description, home=describe_arm(str(where)).home)
-        features = Features(description, int(config["n_obs_steps"]))
-        network = FilterNetwork(tensors, features.dof, config["objective"], float(config["t_star"]))
-        network(np.zeros((1, features.dof)), np.zeros((1, features.width)))
+        history, t_star = config["n_obs_steps"], float(config["t_star"])
+        if not isinstance(history, int) or history > _MOST_TARGETS:
+            raise ValueError(f"n_obs_steps={history!r}: expected a whole number, at most {_MOST_TARGETS}")
+        if not 0 < t_star <= 1:
+            raise ValueError(f"t_star={t_star}: expected more than 0, at most 1")
+        features = Features(description, history)
+        _check_shapes(tensors, features)
+        network = FilterNetwork(tensors, features.dof, config["objective"], t_star)
     except KeyError as error:
         raise ValueError(f"{folder} is damaged: {error} is missing") from error
-    except ValueError as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{folder}: {error}") from error
     return ForesightWeights(description, features, network)
 
@@ -123,12 +134,42 @@ def _tensors(path: Path) -> dict[str, NDArray[Any]]:
         raise ValueError(f"{path} is missing: the checkpoint has no weights")
     try:
         found = load_file(path)
-    except (SafetensorError, ValueError, OSError) as error:
+    except (SafetensorError, ValueError, TypeError, OSError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error
-    tensors = {
-        name.removeprefix(_AVERAGE): value for name, value in found.items() if name.startswith(_AVERAGE)
-    }
-    for name, value in tensors.items():
-        if not np.isfinite(value).all():
+    for name, value in found.items():
+        if not name.startswith(_TRAINED):
+            raise ValueError(f"{path}: {name} does not belong to a checkpoint of {KIND}")
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
             raise ValueError(f"{path}: {name} is not finite")
-    return tensors
+    return {name.removeprefix(_AVERAGE): value for name, value in found.items() if name.startswith(_AVERAGE)}
+
+
+def _check_shapes(tensors: Mapping[str, NDArray[Any]], features: Features) -> None:
+    """ValueError that names the tensors which are not those of a network for these features, of whatever hidden width."""
+    hidden = next(
+        (len(value) for name, value in tensors.items() if name == "layers.0.bias" and value.ndim), 0
+    )
+    layers = max(sum(name.endswith(".weight") for name in tensors), 2)
+    last = features.dof * (lags(features.history) + 1)
+    widths = [features.width + features.dof + 2, *[hidden] * (layers - 1), last]
+    expected: dict[str, tuple[int, ...]] = {"mean": (features.width,), "scale": (features.width,)}
+    for number, (before, after) in enumerate(pairwise(widths)):
+        expected |= {
+            f"layers.{2 * number}.weight": (after, before),
+            f"layers.{2 * number}.bias": (after,),
+        }
+    problems = [
+        *(f"{name} is missing" for name in expected if name not in tensors),
+        *(f"{name} does not belong to its configuration" for name in tensors if name not in expected),
+    ]
+    for name in sorted(expected.keys() & tensors.keys()):
+        found = tensors[name]
+        if found.shape != expected[name]:
+            problems.append(f"{name} has shape {found.shape}, expected {expected[name]}")
+        elif found.dtype.kind != "f":
+            problems.append(f"{name} holds {found.dtype}, expected floats")
+        elif name == "scale" and not (found > 0).all():
+            problems.append("scale is not positive")
+    if problems:
+        more = f", and {len(problems) - 3} more faults" if len(problems) > 3 else ""
+        raise ValueError(f"{_TENSORS}: {'; '.join(problems[:3])}{more}")

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from lerobot_mimicik.checkpoints import LEARNED, kind_of, load_policy
+from lerobot_mimicik.checkpoints import FORESIGHT, LEARNED, kind_of, load_policy
 from lerobot_mimicik.inference.engines import check_engine
 from lerobot_mimicik.inference.single import SingleQuery
 from lerobot_mimicik.kinematics.chain import SerialArm
@@ -49,11 +49,17 @@ class MimicIKSolver(IKSolver):
             engine: What computes single queries: one of `ENGINES`, or "auto", the fastest that agrees.
 
         Raises:
-            ValueError: If the policy drives another number of joints than `arm` has, or there is no such engine.
+            ValueError: If the policy drives another number of joints than `arm` has or answers no single frames
+                (foresight), or there is no such engine.
         """
         self.policy: LearnedIKPolicy = load_policy(policy, device) if isinstance(policy, str) else policy
         if device is not None:
             self.policy = self.policy.to(device)
+        if kind_of(self.policy.config) == FORESIGHT.name:
+            raise ValueError(
+                "The policy is foresight's, which steadies what the guided solver is asked for: the solver "
+                "foresight runs it."
+            )
         own = self.policy.arm
         if own.dof != arm.dof:
             raise ValueError(

@@ -47,7 +47,7 @@ def main(argv: Sequence[str]) -> int:
     robot = _robot([word for word in argv if word.startswith("--robot.")])
     from robot_adapters.calibration import fit_offsets
     from robot_adapters.robots.inner_arm import InnerArm, sides_of
-    from robot_adapters.robots.joint_offsets import write_offsets
+    from robot_adapters.robots.joint_offsets import check_replaceable, write_offsets
 
     prefix = f"{config.side}_" if config.side else ""
     if prefix not in sides_of(robot):
@@ -55,7 +55,9 @@ def main(argv: Sequence[str]) -> int:
         raise ValueError(
             f"--side={config.side}: expected {' or '.join(sides) if sides else 'none: it has one arm'}"
         )
-    arm = InnerArm(robot, prefix, config.arm_description, config.joints, config.joint_units)
+    arm = InnerArm(robot, prefix, config.arm_description, config.joints, config.joint_units, calibrated=False)
+    if arm.offsets_path is not None and not config.dry_run:
+        check_replaceable(arm.offsets_path)
     known = _recorded(arm, config.recording) if config.recording else _held(robot, arm, config.postures)
     fit = fit_offsets(arm.description, known)
     _show(arm, fit)
@@ -93,7 +95,13 @@ def _recorded(arm: InnerArm, path: str) -> list[Observation]:
     from robot_adapters.calibration import read_observations
 
     found = read_observations(path, arm.description.joint_names)
-    return [replace(each, joints=arm.joints(reported) - arm.offsets) for reported, each in found]
+    observations = []
+    for number, (reported, each) in enumerate(found):
+        try:
+            observations.append(replace(each, joints=arm.joints(reported)))
+        except KeyError as error:
+            raise ValueError(f"{path}, entry {number}: {error.args[0]}") from error
+    return observations
 
 
 def _held(robot: Any, arm: InnerArm, postures: Sequence[str]) -> list[Observation]:
@@ -107,7 +115,7 @@ def _held(robot: Any, arm: InnerArm, postures: Sequence[str]) -> list[Observatio
     try:
         release = getattr(getattr(arm.part, "bus", None), "disable_torque", None)
         if release is not None:
-            input("The arm will be let go. Hold it, then press Enter. ")
+            _ask("The arm will be let go. Hold it, then press Enter. ")
             release()
         observations = []
         for name, target in targets.items():
@@ -115,12 +123,21 @@ def _held(robot: Any, arm: InnerArm, postures: Sequence[str]) -> list[Observatio
                 f"{joint} {value:.1f}"
                 for joint, value in zip(arm.description.joint_names, np.degrees(target), strict=True)
             )
-            input(f"Bring the arm to {name} ({degrees} degrees) and hold it there, then press Enter. ")
-            readings = [arm.joints(robot.get_observation()) - arm.offsets for _ in range(_READINGS)]
+            _ask(f"Bring the arm to {name} ({degrees} degrees) and hold it there, then press Enter. ")
+            readings = [arm.joints(robot.get_observation()) for _ in range(_READINGS)]
             observations.append(Observation(np.mean(readings, axis=0), held=target))
         return observations
     finally:
         robot.disconnect()
+
+
+def _ask(what: str) -> None:
+    try:
+        input(what)
+    except EOFError as error:
+        raise RuntimeError(
+            "nobody can press Enter here: run it in a terminal, or give --recording=FILE.json"
+        ) from error
 
 
 def _posture(arm: InnerArm, name: str) -> Any:

@@ -182,7 +182,9 @@ def _adapter(config: DeployConfig) -> MimicIKAdapter:
 
     settings: dict[str, Any] = {"reference": config.reference, "horizon": config.look_ahead + 1}
     if config.policy.path:
-        return MimicIKAdapter.from_pretrained(config.policy.path, config.device, **settings)
+        adapter = MimicIKAdapter.from_pretrained(config.policy.path, config.device, **settings)
+        adapter.check_arm(describe_arm(config.arm), f"--policy.path={config.policy.path}")
+        return adapter
     own = arm_of_dataset(config.dataset.root) if config.dataset.root else None
     return MimicIKAdapter.for_arm(own or describe_arm(config.arm), **settings)
 

@@ -5,6 +5,7 @@ A robot in end-effector space holds one face for each of its arms; measuring and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -172,7 +173,7 @@ class EndEffectorFace:
             upcoming = []
         else:
             form, numbers, given = self.keys.read(action)
-            gripper = held if given is None else given
+            gripper = held if given is None else self._opening(given, held)
             target = self._target(form, numbers, now)
             upcoming = [self._target(*self.keys.read(each)[:2], now) for each in following]
         self.result = result = self.adapter.solve(measured, target, upcoming)
@@ -197,8 +198,16 @@ class EndEffectorFace:
             return target, gripper
         closed, opened = self.gripper_range
         # 0 closes, 1 stays, 2 opens.
-        gripper += 0.02 * (opened - closed) * (float(action.get(f"{self.keys.prefix}gripper", 1.0)) - 1.0)
-        return target, float(np.clip(gripper, min(closed, opened), max(closed, opened)))
+        way = 0.02 * (opened - closed) * (float(action.get(f"{self.keys.prefix}gripper", 1.0)) - 1.0)
+        moved = self._opening(gripper + way, gripper)
+        return target, float(np.clip(moved, min(closed, opened), max(closed, opened)))
+
+    def _opening[Held: float | None](self, given: float, held: Held) -> float | Held:
+        """A gripper's position as given, or as held where that is no number."""
+        if math.isfinite(given):
+            return given
+        self._warn("gripper", f"the gripper's position is {given}: it stays")
+        return held
 
     def _leashed(self, target: Array, reached: Array) -> Array | None:
         if not np.isfinite(target).all():

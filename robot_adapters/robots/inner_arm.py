@@ -45,6 +45,7 @@ class InnerArm:
         arm: str = "",
         joints: Sequence[str] = (),
         unit: str = "auto",
+        calibrated: bool = True,
     ) -> None:
         """Finds out what is left open.
 
@@ -54,6 +55,7 @@ class InnerArm:
             arm: A shipped arm or a URDF; empty: known by the robot.
             joints: The robot's joints, without `.pos`, in the URDF's order; empty: found by their names.
             unit: Of the robot's joints; `auto`: known by the robot.
+            calibrated: Whether the offsets that are kept for it count; false where they are measured anew.
 
         Raises:
             ValueError: What is not known; the message names the option that says it.
@@ -77,7 +79,7 @@ class InnerArm:
         self._units: JointUnits | None = None
         self.offsets: Array = np.zeros(len(found))
         self.offsets_path: Path | None = offsets_file(self.part)
-        if self.offsets_path is not None:
+        if self.offsets_path is not None and calibrated:
             self.offsets = read_offsets(self.offsets_path, self.description.joint_names)
 
     @property
@@ -176,12 +178,15 @@ def _match(names: Sequence[str], wanted: Sequence[str], given: Sequence[str], ro
 
 def _units(part: Any, names: Sequence[str], unit: str, robot_type: str) -> JointUnits:
     config, bus = getattr(part, "config", None), getattr(part, "bus", None)
+    own = (
+        getattr(config, "joint_units", "")
+        or _unit_of_bus(bus, names)
+        or ("deg" if robot_type in _DEGREES else "")
+    )
+    if own and unit not in ("auto", own):
+        raise ValueError(f"--robot.joint_units={unit}: {robot_type} counts its joints in {own}; leave it out")
     if unit == "auto":
-        unit = (
-            getattr(config, "joint_units", "")
-            or _unit_of_bus(bus, names)
-            or ("deg" if robot_type in _DEGREES else "")
-        )
+        unit = own
         if not unit:
             raise ValueError(
                 f"{robot_type} does not say in which unit its joints are: --robot.joint_units=deg, rad or normalised"

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lerobot_mimicik.outputs import check_file
+
 Array = NDArray[np.float64]
 
+_KEY = "offsets_rad"
 LARGEST_OFFSET = np.pi
 """rad: half a turn, beyond which an offset is the same as a smaller one or a mistake."""
 
@@ -31,7 +34,7 @@ def read_offsets(path: Path, joint_names: Sequence[str]) -> Array:
     if not path.is_file():
         return np.zeros(len(joint_names))
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))["offsets_rad"]
+        values = json.loads(path.read_text(encoding="utf-8"))[_KEY]
         offsets = np.array([float(values[name]) for name in joint_names])
     except (ValueError, TypeError, KeyError) as error:
         raise ValueError(
@@ -43,9 +46,25 @@ def read_offsets(path: Path, joint_names: Sequence[str]) -> Array:
     return offsets
 
 
+def check_replaceable(path: Path) -> None:
+    """FileExistsError for a file that is there and holds no offsets: it is somebody's."""
+    check_file(path, "the offsets", _KEY.encode())
+
+
 def write_offsets(path: Path, joint_names: Sequence[str], offsets: ArrayLike) -> None:
-    """Write offsets [rad] (dof,)."""
+    """Write offsets [rad] (dof,).
+
+    Raises:
+        ValueError: an offset of more than half a turn; the message says what may be wrong.
+        FileExistsError: as `check_replaceable`.
+    """
     values = np.asarray(offsets, dtype=float).tolist()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"offsets_rad": dict(zip(joint_names, values, strict=True))}, indent=2)
+    if not all(abs(value) <= LARGEST_OFFSET for value in values):
+        found = dict(zip(joint_names, np.degrees(values).round(1).tolist(), strict=True))
+        raise ValueError(
+            f"offsets of {found} degrees; expected at most half a turn: are the robot's joints in another unit "
+            "(--joint_units), or the postures another arm's?"
+        )
+    check_replaceable(path)
+    text = json.dumps({_KEY: dict(zip(joint_names, values, strict=True))}, indent=2)
     path.write_text(text + "\n", encoding="utf-8")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.plausibility import why_not_joints
 from robot_adapters.simulation.plant import ArmPlant, PlantParameters
 
 Array = NDArray[np.float64]
@@ -39,10 +40,11 @@ class ServoParameters:
     noise: float = 3e-4
 
     def __post_init__(self) -> None:
-        for name, least in (("lag", 0.01), ("sag", 1e-4), ("noise", 0.0)):
+        # The arm is simulated until it hangs at rest, for twenty times its lag.
+        for name, least, most in (("lag", 0.01, 1.0), ("sag", 1e-4, 0.5), ("noise", 0.0, 0.1)):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= least):
-                raise ValueError(f"{name}={value}: expected at least {least}")
+            if not least <= value <= most:
+                raise ValueError(f"{name}={value}: expected {least:g} to {most:g}")
 
 
 class ServoArm:
@@ -59,13 +61,16 @@ class ServoArm:
 
         Raises:
             ModuleNotFoundError: Without MuJoCo.
-            ValueError: A start of another size.
+            ValueError: A start of another size, or far outside the limits, as degrees are.
         """
         self.parameters = parameters or ServoParameters()
         self.lower, self.upper = _ranges(description)
         start = np.asarray(_posture(description) if q is None else q, dtype=float)
         if start.shape != self.lower.shape or not np.isfinite(start).all():
             raise ValueError(f"start: expected {len(self.lower)} finite joints, got {start.tolist()}")
+        reason = why_not_joints(description, start)
+        if reason is not None:
+            raise ValueError(f"start: {reason}. Expected rad, or m where a joint slides")
         self._random = np.random.default_rng(seed)
         count = len(start)
         plant = PlantParameters(
