@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 
 import numpy as np
+from pace import judged_by_the_pace
 
 from robot_adapters.airbot.arm import AirbotArm
 from robot_adapters.arm import DriverStatistics
@@ -42,7 +43,7 @@ def follow_for_a_while(interface: str, channel: str) -> DriverStatistics:
             break
         except BusError:
             continue
-    with arm:
+    with judged_by_the_pace(), arm:
         q = arm.read().q
         for _ in range(5):
             assert arm.command(q).q_sent.shape == (6,)

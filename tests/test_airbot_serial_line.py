@@ -28,7 +28,7 @@ def buses(ports):
         bus.shutdown()
 
 
-def received(bus, count, timeout=5.0):
+def received(bus, count, timeout=60.0):
     return [bus.recv(timeout) for _ in range(count)]
 
 
@@ -58,7 +58,8 @@ def test_damaged_lines_are_dropped(buses, ports, line):
         os.close(port)
     good = can.Message(arbitration_id=0x12, data=[1, 2], is_extended_id=False)
     buses[1].send(good)
-    found = [message for message in received(buses[0], 2, 0.5) if message is not None]
+    found = received(buses[0], 1)
+    assert buses[0].recv(0.05) is None
     assert [(one.arbitration_id, bytes(one.data)) for one in found] == [(0x12, b"\x01\x02")]
 
 
@@ -68,7 +69,7 @@ def test_an_adapters_acknowledgements_hide_no_frame(buses, ports):
         os.write(port, b"\r\rz\r\a" + b"t0122AABB\r" + b"z\rz\r" + b"t0131CC\r")
     finally:
         os.close(port)
-    first = buses[0].recv(5.0)
+    first = buses[0].recv(60.0)
     # Without waiting, as the control loop reads: what has come is read, whatever stands between.
     found = [first, buses[0].recv(0.0)]
     assert [(one.arbitration_id, bytes(one.data)) for one in found] == [(0x12, b"\xaa\xbb"), (0x13, b"\xcc")]

@@ -261,4 +261,4 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
         assert line, "the pool did not start"
     parent.kill()
     # The workers write to the same pipe: it ends when the last of them has.
-    parent.communicate(timeout=60)
+    parent.communicate(timeout=600)
