@@ -33,8 +33,9 @@ PICTURE_MARK = b"made by mimicik demo"
 """The comment in the pictures that `mimicik demo` may write again."""
 _VERSION = 1
 _HEAD = 4096  # bytes at the beginning of a file in which its mark is looked for
-# Files of each kind of folder, below it; `**` at the end: everything there. A folder below that has a mark of its
-# own is judged by that one.
+_FIGURES = ("figures/*.png", "figures/*.gif", "figures/*.txt")
+_CHECKPOINTS = ("checkpoints/last", "checkpoints/*/*/*.safetensors", "checkpoints/*/*/*.json")
+# Files of each kind of folder, below it. A folder below that has a mark of its own is judged by that one.
 _FILES: dict[str, tuple[str, ...]] = {
     "dataset": (
         "data/chunk-*/file-*.parquet",
@@ -49,19 +50,19 @@ _FILES: dict[str, tuple[str, ...]] = {
         "demo.json",
         "report.html",
         "data/summary.txt",
-        "figures/**",
+        *_FIGURES,
         "logs/train-*.log",
-        "train/checkpoints/**",
+        *(f"train/{name}" for name in _CHECKPOINTS),
     ),
     "benchmark": (
         *("summary.json", "summary.tmp", "table.json", "table.md", "report.html", "arm.urdf"),
-        "figures/**",
+        *_FIGURES,
         "anatomy/*.npz",
         "train/*/arguments.json",
         "train/*/logs/train-*.log",
-        "train/*/run/checkpoints/**",
+        *(f"train/*/run/{name}" for name in _CHECKPOINTS),
     ),
-    "report": ("report.json", "report.md", "report.html", "deployment.json", "figures/**"),
+    "report": ("report.json", "report.md", "report.html", "deployment.json", *_FIGURES),
 }
 
 
@@ -129,7 +130,7 @@ def claim(folder: str | Path, kind: str) -> None:
     if folder.exists() and not folder.is_dir():
         raise FileExistsError(f"{folder} exists already and is a file; choose another folder")
     for pattern in _FILES[kind]:
-        if (there := next(folder.glob(pattern.removesuffix("/**")), None)) is not None:
+        if (there := next(folder.glob(pattern), None)) is not None:
             raise FileExistsError(_unmarked(folder, kind, f"{there} would be replaced, but "))
     folder.mkdir(parents=True, exist_ok=True)
     if found is None:
@@ -311,8 +312,6 @@ def _known(parts: tuple[str, ...], kind: str) -> bool:
 
 
 def _matches(parts: tuple[str, ...], pattern: tuple[str, ...]) -> bool:
-    if pattern[-1] == "**":
-        pattern, parts = pattern[:-1], parts[: len(pattern) - 1]
     return len(parts) == len(pattern) and all(map(fnmatchcase, parts, pattern))
 
 

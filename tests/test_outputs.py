@@ -132,21 +132,41 @@ def test_links_are_deleted_and_never_followed(tmp_path):
     outputs.mark(tmp_path / "out", "benchmark")
     checkpoints = tmp_path / "out" / "train" / "mlp" / "run" / "checkpoints"
     (checkpoints / "000001").mkdir(parents=True)
-    (checkpoints / "last").symlink_to("000001")
-    (checkpoints / "elsewhere").symlink_to(tmp_path / "home")
+    (checkpoints / "last").symlink_to(tmp_path / "home")
     outputs.remove(tmp_path / "out")
     assert contents(tmp_path) == {"home/thesis.tex": b"mine"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "stranger"),
+    [
+        ("report", "figures/thesis.pdf"),
+        ("demo", "figures/mine/own.png"),
+        ("demo", "train/checkpoints/notes.txt"),
+        ("demo", "train/checkpoints/000001/pretrained_model/best.pt"),
+        ("benchmark", "train/mlp/run/checkpoints/mine.json"),
+    ],
+)
+def test_foreign_files_among_figures_and_checkpoints_are_kept(tmp_path, kind, stranger):
+    outputs.mark(tmp_path / "out", kind)
+    file = tmp_path / "out" / stranger
+    file.parent.mkdir(parents=True)
+    file.write_text("mine")
+    with pytest.raises(FileExistsError, match=file.name):
+        outputs.remove(tmp_path / "out")
+    assert file.read_text() == "mine"
 
 
 def test_a_training_that_begins_anew_deletes_only_what_a_training_left(tmp_path):
     outputs.mark(tmp_path / "demo", "demo")
     run = tmp_path / "demo" / "train"
-    (run / "checkpoints" / "000003").mkdir(parents=True)
-    (run / "checkpoints" / "000003" / "half.safetensors").write_text("")
+    half = run / "checkpoints" / "000003" / "training_state" / "half.safetensors"
+    half.parent.mkdir(parents=True)
+    half.write_text("")
     (run / "my_notes.txt").write_text("mine")
     with pytest.raises(FileExistsError, match="my_notes"):
         training_process.train_or_resume(["--nonsense"], run, 5, 1, tmp_path / "demo" / "logs")
-    assert (run / "checkpoints" / "000003" / "half.safetensors").exists()
+    assert half.exists()
     (run / "my_notes.txt").unlink()
     outputs.remove(run)
     assert not run.exists()

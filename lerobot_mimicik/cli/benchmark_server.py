@@ -46,7 +46,7 @@ def main(argv: Sequence[str]) -> int:
     config = parse(BenchmarkServerConfig, argv, "mimicik benchmark-server")
     from lerobot_mimicik.cli.serve import ServeConfig, check_paths, solvers_of
     from lerobot_mimicik.serving.limits import Limits
-    from lerobot_mimicik.serving.security import is_local
+    from lerobot_mimicik.wire.security import is_local
 
     _check_numbers(config, Limits().max_waiting, Limits().max_rows)
     if not is_local(config.bind):

@@ -45,9 +45,10 @@ def main(argv: Sequence[str]) -> int:
     own = [word for word in argv if not word.startswith("--robot.")]
     config = parse(CalibrateConfig, own, "mimicik calibrate")
     robot = _robot([word for word in argv if word.startswith("--robot.")])
+    from lerobot_mimicik.outputs import check_file
     from robot_adapters.calibration import fit_offsets
     from robot_adapters.robots.inner_arm import InnerArm, sides_of
-    from robot_adapters.robots.joint_offsets import check_replaceable, write_offsets
+    from robot_adapters.robots.joint_offsets import MARK, write_offsets
 
     prefix = f"{config.side}_" if config.side else ""
     if prefix not in sides_of(robot):
@@ -57,7 +58,7 @@ def main(argv: Sequence[str]) -> int:
         )
     arm = InnerArm(robot, prefix, config.arm_description, config.joints, config.joint_units, calibrated=False)
     if arm.offsets_path is not None and not config.dry_run:
-        check_replaceable(arm.offsets_path)
+        check_file(arm.offsets_path, "the offsets", MARK)
     known = _recorded(arm, config.recording) if config.recording else _held(robot, arm, config.postures)
     fit = fit_offsets(arm.description, known)
     _show(arm, fit)

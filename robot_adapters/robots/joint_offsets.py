@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lerobot_mimicik.outputs import check_file
-
 Array = NDArray[np.float64]
 
 _KEY = "offsets_rad"
+MARK = _KEY.encode()
+"""What a file of offsets shows that it is one by."""
 LARGEST_OFFSET = np.pi
 """rad: half a turn, beyond which an offset is the same as a smaller one or a mistake."""
 
@@ -46,17 +46,11 @@ def read_offsets(path: Path, joint_names: Sequence[str]) -> Array:
     return offsets
 
 
-def check_replaceable(path: Path) -> None:
-    """FileExistsError for a file that is there and holds no offsets: it is somebody's."""
-    check_file(path, "the offsets", _KEY.encode())
-
-
 def write_offsets(path: Path, joint_names: Sequence[str], offsets: ArrayLike) -> None:
     """Write offsets [rad] (dof,).
 
     Raises:
-        ValueError: an offset of more than half a turn; the message says what may be wrong.
-        FileExistsError: as `check_replaceable`.
+        ValueError: An offset of more than half a turn; the message says what may be wrong.
     """
     values = np.asarray(offsets, dtype=float).tolist()
     if not all(abs(value) <= LARGEST_OFFSET for value in values):
@@ -65,6 +59,5 @@ def write_offsets(path: Path, joint_names: Sequence[str], offsets: ArrayLike) ->
             f"offsets of {found} degrees; expected at most half a turn: are the robot's joints in another unit "
             "(--joint_units), or the postures another arm's?"
         )
-    check_replaceable(path)
     text = json.dumps({_KEY: dict(zip(joint_names, values, strict=True))}, indent=2)
     path.write_text(text + "\n", encoding="utf-8")
