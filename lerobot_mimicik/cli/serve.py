@@ -130,7 +130,7 @@ def solvers_of(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], I
     """The arm and what makes each of its solvers. ValueError for an option that does not fit."""
     import torch
 
-    from lerobot_mimicik.checkpoints import find_checkpoint, load_policy
+    from lerobot_mimicik.checkpoints import FORESIGHT_SOLVERS, find_checkpoint, load_policy
     from lerobot_mimicik.foresight.weights import is_foresight, load_weights
     from lerobot_mimicik.kinematics.arms import describe_arm
     from lerobot_mimicik.kinematics.chain import SerialArm
@@ -152,7 +152,7 @@ def solvers_of(config: ServeConfig) -> tuple[SerialArm, dict[str, Callable[[], I
     description = describe_arm(config.arm or "airbot_play")
     if config.policy.path and is_foresight(found := find_checkpoint(config.policy.path)):
         # Without a checkpoint of its own it has the package's weights.
-        options = {name: {"policy": found} for name in ("foresight", "foresight_alone")}
+        options = {name: {"policy": found} for name in FORESIGHT_SOLVERS}
         description = description if config.arm else load_weights(found).description
     if learned:
         policy = load_policy(config.policy.path, config.device or None)
