@@ -184,11 +184,11 @@ class MimicIKAdapter:
         """See that this is the inverse kinematics of an arm that is to be driven; tools may differ.
 
         Args:
-            driven: the arm.
-            source: what this was made from, for the message.
+            driven: The arm.
+            source: What this was made from, for the message.
 
         Raises:
-            ValueError: it is another arm's, even one whose joints have the same names.
+            ValueError: It is another arm's, even one whose joints have the same names.
         """
         reason = why_not_same_arm(self.description, driven)
         if reason is not None:
