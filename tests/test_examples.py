@@ -50,6 +50,11 @@ def test_recordings_through_lerobots_replay_are_met_within_a_step(example):
             assert row["largest_step_rad"] < 0.095
 
 
+def test_a_small_computers_adapter_follows_a_circle(example):
+    # Into an empty environment it is installed in test_wheel.py.
+    assert set(example("small_computer").main("airbot_play", frames=20)) == {IKStatus.REACHED}
+
+
 def test_every_example_is_tested():
     tested = Path(__file__).read_text()
     assert [path.stem for path in FOLDER.glob("*.py") if f'"{path.stem}"' not in tested] == []

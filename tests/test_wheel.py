@@ -81,3 +81,44 @@ def test_an_empty_environment_with_the_wheel_has_plugin_command_robots_and_recip
     assert all(Path(path).is_relative_to(packages) for path in files)
     shown = run(str(home / "bin" / "mimicik"), "--help", cwd=tmp_path)
     assert {"demo", "eval", "deploy"} <= set(shown.split())
+
+
+@pytest.mark.timeout(600)
+def test_a_small_computer_answers_from_an_exported_file_without_torch_and_lerobot(wheel, tmp_path):
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    from lerobot_mimicik.configuration_mimicik import MimicIKConfig
+    from lerobot_mimicik.inference.onnx_export import write
+    from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
+
+    file = tmp_path / "arm.onnx"
+    write(MimicIKPolicy(MimicIKConfig(d_model=16, n_layers=1, n_heads=2, d_ff=16, device="cpu")).eval(), file)
+    home, examples = tmp_path / "small", ROOT / "examples"
+    venv.create(home, symlinks=True)
+    python = str(home / "bin" / "python")
+    run(UV, "pip", "install", "-q", "--no-deps", f"--python={python}", str(wheel), cwd=tmp_path)
+    run(
+        UV,
+        "pip",
+        "install",
+        "-q",
+        f"--python={python}",
+        "-r",
+        str(examples / "small_computer.txt"),
+        cwd=tmp_path,
+    )
+    script = shutil.copy(examples / "small_computer.py", tmp_path)
+    # Compiling takes longer than these few frames take in plain Python.
+    use = f"import runpy, sys; main = runpy.run_path({str(script)!r})['main']"
+    use += f"; assert set(main({str(file)!r}, 3)) == {{'reached'}}; assert not {{'torch', 'lerobot'}} & set(sys.modules)"
+    done = subprocess.run(
+        [python, "-I", "-c", use],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "3 of 3 targets reached" in done.stdout
+    size = sum(path.stat().st_size for path in home.rglob("*") if path.is_file() and not path.is_symlink())
+    assert size < 500e6  # as docs/small_computers.md says
