@@ -11,7 +11,7 @@ from lerobot.processor import RobotActionProcessorStep
 
 from lerobot_mimicik.kinematics.poses import PolicyFrames, PoseFormat
 from robot_adapters.adapter import IKResult, MimicIKAdapter
-from robot_adapters.joint_units import check_joints, check_unit, to_rad
+from robot_adapters.joint_units import check_joints, check_rad_or_deg, to_rad
 from robot_adapters.kinematics import MimicIKKinematics
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
@@ -71,7 +71,7 @@ class MimicIKEEToJoints(RobotActionProcessorStep):
                 f"the checkpoint drives {list(self.adapter.joint_names)}; motor_names {self.motor_names} lack "
                 f"{missing} and have {others} besides (expected one gripper at most)"
             )
-        check_unit(self.joint_units)
+        check_rad_or_deg(self.joint_units)
         self._gripper = others[0] if others else None
 
     def action(self, action: RobotAction) -> RobotAction:

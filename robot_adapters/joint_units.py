@@ -9,7 +9,7 @@ from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.plausibility import check_plausible
 
 
-def check_unit(joint_units: str) -> None:
+def check_rad_or_deg(joint_units: str) -> None:
     """ValueError unless it is `rad` or `deg`."""
     if joint_units not in ("rad", "deg"):
         raise ValueError(

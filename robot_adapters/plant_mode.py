@@ -10,14 +10,12 @@ lag, quantum and noise. Time is simulated, so that the result does not depend on
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 
 import numpy as np
-from tqdm import tqdm
 
-from lerobot_mimicik.evaluation.rollouts import Rollout, RolloutOptions, register_mode
+from lerobot_mimicik.evaluation.rollouts import Rollout, RolloutOptions, frame_bar, register_mode
 from lerobot_mimicik.evaluation.trajectories import Trajectory
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.array_chain import array_chain
@@ -60,25 +58,17 @@ def _drive_all(
     for trajectory in trajectories:
         refuse_another_arm(trajectory)
     rollouts = []
-    with tqdm(
-        total=sum(map(len, trajectories)),
-        unit="frame",
-        desc=options.label,
-        disable=not options.progress,
-        mininterval=0.2 if sys.stderr.isatty() else 10.0,
-    ) as bar:
+    with frame_bar(sum(map(len, trajectories)), options.label, options.progress) as bar:
         for number, trajectory in enumerate(trajectories):
             with simulated_cell(ARM, q=trajectory.q[0], seed=options.seed + number) as cell:
                 cell.arm.connect()
-                solver.reset(trajectory.q[:1] if solver.batched else trajectory.q[0])
+                solver.reset_one(trajectory.q[0])
 
                 def ask(q: Array, target: Array, upcoming: Array) -> Array:
                     if solver.look_ahead:
                         solver.foresee(upcoming[: solver.look_ahead])
                     q = q if measured else cell.arm.target()
-                    answer = (
-                        solver.solve(q[None], target[None])[0] if solver.batched else solver.solve(q, target)
-                    )
+                    answer = solver.solve_one(q, target)
                     bar.update(1)
                     return np.asarray(answer)
 

@@ -29,7 +29,7 @@ from lerobot_mimicik.kinematics.poses import IDENTITY, PolicyFrames, PoseFormat
 from lerobot_mimicik.weights import load_tensors
 from robot_adapters.adapter import AdapterSettings, IKResult, MimicIKAdapter
 from robot_adapters.ee_to_joints import MimicIKEEToJoints as MimicIKEEToJoints
-from robot_adapters.joint_units import check_joints, check_unit, to_rad
+from robot_adapters.joint_units import check_joints, check_rad_or_deg, to_rad
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 
@@ -62,7 +62,7 @@ class JointsToEEState(ObservationProcessorStep, RelativeActionsProcessorStep):
     def __post_init__(self) -> None:
         from lerobot_mimicik.kinematics.array_chain import array_chain
 
-        check_unit(self.joint_units)
+        check_rad_or_deg(self.joint_units)
         keys = self.state_keys if isinstance(self.state_keys, list) else []
         if not keys or any(key not in (OBS_STATE, OBS_ENV_STATE) for key in keys):
             raise ValueError(
@@ -173,7 +173,7 @@ class EEActionToJoints(AbsoluteActionsProcessorStep):
         from lerobot_mimicik.configuration_mimicik import MimicIKConfig
         from lerobot_mimicik.modeling_mimicik import MimicIKPolicy
 
-        check_unit(self.joint_units)
+        check_rad_or_deg(self.joint_units)
         for name in ("policy", "settings"):
             if not isinstance(getattr(self, name), Mapping):
                 what = "the entries of a MimicIK configuration" if name == "policy" else "names and values"

@@ -178,7 +178,7 @@ class SafetyLimits:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class GateDecision:
     """What the gate makes of a target: `q` [rad] is what may be sent, None when it was refused."""
 
     status: CommandStatus
@@ -208,7 +208,7 @@ class SafetyGate:
                 f"expected {dof} lower joint limits below {dof} upper ones, got {self.lower}, {self.upper}"
             )
 
-    def admit(self, target: ArrayLike, reference: ArrayLike, elapsed: float) -> Verdict:
+    def admit(self, target: ArrayLike, reference: ArrayLike, elapsed: float) -> GateDecision:
         """Judge a target [rad] (dof,) against the target before it, `reference` (dof,), given `elapsed` [s]
         ago.
 
@@ -223,13 +223,13 @@ class SafetyGate:
                 f"expected {len(self.joint_names)} joint targets {self.joint_names}, got shape {q.shape}"
             )
         if not np.all(np.isfinite(q)):
-            return Verdict(CommandStatus.REFUSED, None, (NonFiniteCommand(f"target {_listed(q)} rad"),))
+            return GateDecision(CommandStatus.REFUSED, None, (NonFiniteCommand(f"target {_listed(q)} rad"),))
         steps = np.abs(q - before)
         worst = int(np.argmax(steps))
         if steps[worst] > self.limits.refuse_step:
             jump = f"{self.joint_names[worst]} would jump by {steps[worst]:.3f} rad"
             event = JumpViolation(f"{jump}, limit {self.limits.refuse_step}")
-            return Verdict(CommandStatus.REFUSED, None, (event,))
+            return GateDecision(CommandStatus.REFUSED, None, (event,))
         events: list[SafetyEvent] = []
         inside = np.clip(q, self.lower, self.upper)
         for joint in np.flatnonzero(inside != q):
@@ -253,7 +253,7 @@ class SafetyGate:
                 events.append(kind(detail))
                 q = before + (inside - before) * (allowed * share / float(steps[worst]))
                 step = allowed * share
-        return Verdict(CommandStatus.LIMITED if events else CommandStatus.ACCEPTED, q, tuple(events))
+        return GateDecision(CommandStatus.LIMITED if events else CommandStatus.ACCEPTED, q, tuple(events))
 
 
 def _listed(values: NDArray) -> str:

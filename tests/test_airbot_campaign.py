@@ -17,7 +17,7 @@ from robot_adapters.can.bus import open_bus
 from robot_adapters.can.feedback import MotorRecord
 from robot_adapters.clock import SimulatedClock
 from robot_adapters.safety import SafetyLimits
-from robot_adapters.simulation.campaign import Outcome, run_campaign, run_case, specified_outcomes
+from robot_adapters.simulation.campaign import FaultOutcome, run_campaign, run_case, specified_outcomes
 from robot_adapters.simulation.faults import DISTURBANCES, Fault, FaultKind, random_fault
 from robot_adapters.simulation.listener import BusListener
 from robot_adapters.simulation.plant import PlantParameters
@@ -45,18 +45,18 @@ def test_the_same_seed_gives_the_same_case():
 @pytest.mark.parametrize(
     ("fault", "outcomes"),
     [
-        (Fault(FaultKind.MOTOR_ERROR, 1), {Outcome.STOP}),
-        (Fault(FaultKind.WRONG_RANGES, 4), {Outcome.STOP}),
-        (Fault(FaultKind.OTHER_MASTER, 4), {Outcome.STOP}),
-        (Fault(FaultKind.BUSY_BUS, None), {Outcome.TRACKING}),
-        (Fault(FaultKind.FROZEN, None, 0.2, 0.06), {Outcome.TRACKING}),
-        (Fault(FaultKind.FROZEN, None, 0.2, 0.4), {Outcome.HOLD}),
-        (Fault(FaultKind.FROZEN, None, 0.2, 1.15), {Outcome.STOP}),
-        (Fault(FaultKind.DUPLICATED, None, 0.0, 1.0), {Outcome.TRACKING}),
-        (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 0.02), {Outcome.TRACKING}),
-        (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 0.4), {Outcome.HOLD}),
-        (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 1.2), {Outcome.STOP}),
-        (Fault(FaultKind.DROPPED, 2, 0.0, 0.4, rate=0.3), {Outcome.TRACKING, Outcome.HOLD}),
+        (Fault(FaultKind.MOTOR_ERROR, 1), {FaultOutcome.STOP}),
+        (Fault(FaultKind.WRONG_RANGES, 4), {FaultOutcome.STOP}),
+        (Fault(FaultKind.OTHER_MASTER, 4), {FaultOutcome.STOP}),
+        (Fault(FaultKind.BUSY_BUS, None), {FaultOutcome.TRACKING}),
+        (Fault(FaultKind.FROZEN, None, 0.2, 0.06), {FaultOutcome.TRACKING}),
+        (Fault(FaultKind.FROZEN, None, 0.2, 0.4), {FaultOutcome.HOLD}),
+        (Fault(FaultKind.FROZEN, None, 0.2, 1.15), {FaultOutcome.STOP}),
+        (Fault(FaultKind.DUPLICATED, None, 0.0, 1.0), {FaultOutcome.TRACKING}),
+        (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 0.02), {FaultOutcome.TRACKING}),
+        (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 0.4), {FaultOutcome.HOLD}),
+        (Fault(FaultKind.SILENT_MOTOR, 2, 0.0, 1.2), {FaultOutcome.STOP}),
+        (Fault(FaultKind.DROPPED, 2, 0.0, 0.4, rate=0.3), {FaultOutcome.TRACKING, FaultOutcome.HOLD}),
     ],
 )
 def test_what_a_fault_may_lead_to_follows_from_kind_and_length(fault, outcomes):
@@ -86,7 +86,7 @@ def test_trouble_that_changes_its_name_is_trouble_in_the_end():
     limits, record = SafetyLimits(), MotorRecord(OdMotor(1), 0.0)
     for frame in range(40):
         record.update(MotorFeedback(1, 0.0, 0.0, 0.0, 1 + frame % 2, 30, 30), 0.004 * frame, limits)
-        assert (record.trouble(limits) is not None) == (frame >= 24)
+        assert (record.fault(limits) is not None) == (frame >= 24)
 
 
 @pytest.mark.timeout(0)

@@ -239,9 +239,9 @@ def test_a_page_in_a_browser_follows_the_mouse():
             text = browser.evaluate("document.body.innerText")
             assert "least_squares" in text
             assert "reached" in text
-            assert browser.complaints == []
+            assert browser.errors == []
             browser.evaluate("console.error('a complaint')")
-            assert browser.complaints == ["a complaint"]
+            assert browser.errors == ["a complaint"]
     finally:
         page.stop()
 

@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # A user's error says what to change; where it was raised is of use to developers only.
         if os.environ.get(_TRACEBACK) or not _is_the_users(error):
             raise
-        print(f"mimicik {command}: {_told(error)}", file=sys.stderr)
+        print(f"mimicik {command}: {_reason_of(error)}", file=sys.stderr)
         print(f"({_TRACEBACK}=1 shows where this comes from.)", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -83,7 +83,7 @@ def _is_the_users(error: Exception) -> bool:
     return isinstance(error, ValueError | OSError | RuntimeError | MemoryError) or library in _READERS
 
 
-def _told(error: Exception) -> str:
+def _reason_of(error: Exception) -> str:
     """An error's text; draccus says only in the error's cause why it refuses a value."""
     text = str(error) or type(error).__name__
     if type(error).__module__.startswith("draccus.") and isinstance(error.__cause__, TypeError | ValueError):

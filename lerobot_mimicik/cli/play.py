@@ -155,8 +155,8 @@ def take_picture(page: PlayPage, path: str) -> None:
         browser.wait_for_drawing()
         browser.picture(path)
         _sign(path)
-        if browser.complaints:
-            raise RuntimeError(f"the page complained: {browser.complaints[0]}")
+        if browser.errors:
+            raise RuntimeError(f"the page complained: {browser.errors[0]}")
 
 
 def _sign(path: str) -> None:

@@ -19,6 +19,7 @@ policies ask for.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -236,7 +237,7 @@ def _write_files(
     frames_in_file = 0
     parquet: pq.ParquetWriter | None = None
     try:
-        for index, episode in enumerate(_chain(first, episodes)):
+        for index, episode in enumerate(itertools.chain([first], episodes)):
             where = f"dataset {repo_id}, episode {index} (session {episode.session!r})"
             columns = _columns(episode, len(description.joint_names), first.gripper is not None, where)
             if space == "ee":
@@ -297,11 +298,6 @@ def _write_files(
     write_stats(aggregate_stats(statistics), root)
     (root / ARM_FILE).write_text(description.to_json() + "\n")
     return {"episodes": len(records), "frames": frames}
-
-
-def _chain(first: Episode, rest: Iterator[Episode]) -> Iterator[Episode]:
-    yield first
-    yield from rest
 
 
 def _row_bytes(features: dict[str, dict[str, Any]]) -> int:

@@ -29,7 +29,7 @@ _BEYOND = 1.1  # of the longest reach
 
 
 @dataclass(frozen=True, eq=False)
-class Ordeal:
+class Trial:
     """One of the standard motions.
 
     Attributes:
@@ -43,7 +43,7 @@ class Ordeal:
     worst: int
 
 
-def make_ordeals(description: ArmDescription, seed: int = 0) -> list[Ordeal]:
+def make_trials(description: ArmDescription, seed: int = 0) -> list[Trial]:
     """The standard motions of an arm, always the same for a seed; a kind that the arm lacks is left out.
 
     Raises:
@@ -54,7 +54,7 @@ def make_ordeals(description: ArmDescription, seed: int = 0) -> list[Ordeal]:
     gauge = SingularityGauge.for_arm(arm, rng)
     middle, half = (arm.upper + arm.lower) / 2, (arm.upper - arm.lower) / 2
     start = np.concatenate([arm.home[None], middle + 0.7 * half * rng.uniform(-1, 1, (512, len(half)))])
-    ordeals: list[Ordeal] = []
+    trials: list[Trial] = []
     for kind in KINDS:
         found = find_singular(gauge, kind, start)
         measures = gauge(found)
@@ -63,16 +63,14 @@ def make_ordeals(description: ArmDescription, seed: int = 0) -> list[Ordeal]:
         if inside.size:
             # The nearest to the everyday posture.
             distance = np.abs(found[inside] - arm.home).max(axis=1)
-            ordeals.append(_through(arm, gauge, kind, found[inside[distance.argmin()]], len(ordeals)))
-    return [*ordeals, _out_of_reach(arm, len(ordeals))]
+            trials.append(_through(arm, gauge, kind, found[inside[distance.argmin()]], len(trials)))
+    return [*trials, _out_of_reach(arm, len(trials))]
 
 
-def undergo(solver: IKSolver, ordeals: Sequence[Ordeal]) -> dict[str, Rollout]:
+def run_trials(solver: IKSolver, trials: Sequence[Trial]) -> dict[str, Rollout]:
     """Drive a solver through the motions in closed loop; what it did, by the motions' names."""
-    rollouts = make_rollouts(
-        "closed_loop", solver, [ordeal.trajectory for ordeal in ordeals], RolloutOptions()
-    )
-    return {ordeal.name: rollout for ordeal, rollout in zip(ordeals, rollouts, strict=True)}
+    rollouts = make_rollouts("closed_loop", solver, [trial.trajectory for trial in trials], RolloutOptions())
+    return {trial.name: rollout for trial, rollout in zip(trials, rollouts, strict=True)}
 
 
 def save_commands(path: Path, rollouts: Mapping[str, Rollout]) -> None:
@@ -82,7 +80,7 @@ def save_commands(path: Path, rollouts: Mapping[str, Rollout]) -> None:
     np.savez_compressed(path, **commands)
 
 
-def load_commands(path: Path, ordeals: Sequence[Ordeal]) -> dict[str, Rollout]:
+def load_commands(path: Path, trials: Sequence[Trial]) -> dict[str, Rollout]:
     """What `save_commands` kept, as rollouts again.
 
     Raises:
@@ -91,17 +89,17 @@ def load_commands(path: Path, ordeals: Sequence[Ordeal]) -> dict[str, Rollout]:
     with np.load(path, allow_pickle=False) as kept:
         commands = {name: kept[name] for name in kept.files}
     rollouts = {}
-    for ordeal in ordeals:
-        q_cmd, trajectory = commands.get(ordeal.name), ordeal.trajectory
+    for trial in trials:
+        q_cmd, trajectory = commands.get(trial.name), trial.trajectory
         if q_cmd is None or q_cmd.shape != trajectory.q.shape:
-            raise ValueError(f"{path} is not of the motion {ordeal.name!r} of this arm: remove it.")
+            raise ValueError(f"{path} is not of the motion {trial.name!r} of this arm: remove it.")
         q_curr = np.concatenate([trajectory.q[:1], q_cmd[:-1]])
         asked = int(np.isfinite(q_curr).all(axis=1).sum())
-        rollouts[ordeal.name] = Rollout(trajectory, q_curr, q_cmd, asked)
+        rollouts[trial.name] = Rollout(trajectory, q_curr, q_cmd, asked)
     return rollouts
 
 
-def _through(arm: ArmArrays, gauge: SingularityGauge, kind: str, singular: Array, index: int) -> Ordeal:
+def _through(arm: ArmArrays, gauge: SingularityGauge, kind: str, singular: Array, index: int) -> Trial:
     """From one side of a singular configuration (dof,) to the other, or back where limits forbid it."""
     probe = 1e-3
     around = singular + probe * np.concatenate([np.eye(len(singular)), -np.eye(len(singular))])
@@ -121,10 +119,10 @@ def _through(arm: ArmArrays, gauge: SingularityGauge, kind: str, singular: Array
     )
     q = np.clip(q, arm.lower, arm.upper)
     target = arm.pose(np.concatenate([q[1:], q[-1:]]))
-    return Ordeal(kind, Trajectory(index, q, target), half)
+    return Trial(kind, Trajectory(index, q, target), half)
 
 
-def _out_of_reach(arm: ArmArrays, index: int) -> Ordeal:
+def _out_of_reach(arm: ArmArrays, index: int) -> Trial:
     """From the everyday posture straight away from the base, beyond any reach, and back."""
     rng = np.random.default_rng(0)
     samples = rng.uniform(arm.lower, arm.upper, (4096, len(arm.lower)))
@@ -138,7 +136,7 @@ def _out_of_reach(arm: ArmArrays, index: int) -> Ordeal:
     )
     share = np.concatenate([share, np.zeros((rest, 1))])
     target = np.concatenate([home[:3] + share * way, np.tile(home[3:], (len(share), 1))], axis=1)
-    return Ordeal(OUT_OF_REACH, Trajectory(index, np.tile(arm.home, (len(share), 1)), target), half)
+    return Trial(OUT_OF_REACH, Trajectory(index, np.tile(arm.home, (len(share), 1)), target), half)
 
 
 def _eased(a: Array, b: Array, frames: int) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_mimicik.evaluation.anatomy import FPS, OUT_OF_REACH, Ordeal
+from lerobot_mimicik.evaluation.anatomy import FPS, OUT_OF_REACH, Trial
 from lerobot_mimicik.evaluation.bench import LearnedRow
 from lerobot_mimicik.evaluation.metrics import ESTOP_RAD, JOINT_SPIKE_RAD, Trace
 from lerobot_mimicik.evaluation.plots import (
@@ -156,25 +156,25 @@ def plot_seeds(rows: Sequence[Mapping[str, Any]]) -> Plot | None:
 
 
 def plot_anatomy(
-    ordeals: Sequence[Ordeal], traces: Mapping[str, Sequence[Trace]], joint_names: Sequence[str]
+    trials: Sequence[Trial], traces: Mapping[str, Sequence[Trace]], joint_names: Sequence[str]
 ) -> list[Plot]:
     """What each solver did in the standard motions: a joint, the joint step and the error, a figure a motion.
 
     Args:
-        ordeals: The motions.
+        trials: The motions.
         traces: Of every solver, in the motions' order.
         joint_names: Of the arm.
     """
     return [
-        _plot_ordeal(ordeal, {name: found[number] for name, found in traces.items()}, joint_names)
-        for number, ordeal in enumerate(ordeals)
+        _plot_trial(trial, {name: found[number] for name, found in traces.items()}, joint_names)
+        for number, trial in enumerate(trials)
     ]
 
 
-def _plot_ordeal(ordeal: Ordeal, traces: Mapping[str, Trace], joint_names: Sequence[str]) -> Plot:
+def _plot_trial(trial: Trial, traces: Mapping[str, Trace], joint_names: Sequence[str]) -> Plot:
     figure = new_figure(3.8 + 0.17 * math.ceil(len(traces) / 3))
     joint_panel, step_panel, error_panel = panels = figure.subplots(3, 1, sharex=True)
-    seconds = (np.arange(len(ordeal.trajectory)) - ordeal.worst) / FPS
+    seconds = (np.arange(len(trial.trajectory)) - trial.worst) / FPS
     # The joint on which the solvers agree least.
     stacked = np.stack([trace.rollout.q_cmd for trace in traces.values()])
     spread = np.nan_to_num(np.nanmax(stacked, axis=0) - np.nanmin(stacked, axis=0)).max(axis=0)
@@ -200,10 +200,10 @@ def _plot_ordeal(ordeal: Ordeal, traces: Mapping[str, Trace], joint_names: Seque
     error_panel.set(yscale="log", ylabel="error [mm]", xlabel="time from the worst point [s]")
     error_panel.axhline(RETURNED_MM, color="#777777", linewidth=0.8)
     legend_below(figure, panels[0], 3)
-    where = ordeal.name if ordeal.name == OUT_OF_REACH else f"through the {ordeal.name} singularity"
+    where = trial.name if trial.name == OUT_OF_REACH else f"through the {trial.name} singularity"
     caption = (
         "Solvers see the poses only, in closed loop. Shown is the joint on which they agree least. Grey lines: 0.1 and "
         f"0.5 rad, 10 mm. {f'Steps over 0.1 rad: {", ".join(jumped)}.' if jumped else 'No step is over 0.1 rad.'}"
     )
-    name = f"anatomy_{ordeal.name.replace(' ', '_')}"
+    name = f"anatomy_{trial.name.replace(' ', '_')}"
     return finished(name, f"{where[0].upper()}{where[1:]}", figure, caption)

@@ -24,11 +24,11 @@ from lerobot_mimicik import outputs
 from lerobot_mimicik.checkpoints import FORESIGHT, LEARNED, kind_of, load_policy, solvers_of
 from lerobot_mimicik.configuration_mimicik import MimicIKConfig
 from lerobot_mimicik.data.writer import ARM_FILE, read_arm_json
-from lerobot_mimicik.evaluation.anatomy import Ordeal, load_commands, make_ordeals, save_commands, undergo
+from lerobot_mimicik.evaluation.anatomy import Trial, load_commands, make_trials, run_trials, save_commands
 from lerobot_mimicik.evaluation.bench import LearnedRow, Summary, joined_seeds, learned_names, write_table
 from lerobot_mimicik.evaluation.bench_plots import plot_anatomy, plot_errors, plot_fk_weights, plot_seeds
 from lerobot_mimicik.evaluation.bench_training import prepare_trainings, train_row
-from lerobot_mimicik.evaluation.evaluate import Recording, evaluate_one, study
+from lerobot_mimicik.evaluation.evaluate import StudiedSet, evaluate_one, study
 from lerobot_mimicik.evaluation.latency import measure_latency
 from lerobot_mimicik.evaluation.metrics import measure
 from lerobot_mimicik.evaluation.plots import Plot
@@ -120,7 +120,7 @@ class BenchResult:
 
 
 @dataclass(frozen=True)
-class Occasion:
+class Measurement:
     """What each solver is measured on.
 
     Attributes:
@@ -129,7 +129,7 @@ class Occasion:
         place: The dataset's folder and which part of it, as the summary knows it.
     """
 
-    recording: Recording
+    recording: StudiedSet
     mode: str
     place: str
 
@@ -163,10 +163,10 @@ def run_bench(
     trained = [row for name, row in rows.items() if row is not None and name not in given]
     trainings = prepare_trainings(options, description, trained)
     arm = SerialArm(description, dtype=torch.float64)
-    ordeals = make_ordeals(description) if description.home else []
-    occasions = _occasions(options, arm)
+    trials = make_trials(description) if description.home else []
+    measurements = _measurements(options, arm)
     digests = dict.fromkeys(given, checkpoint.digest()) if checkpoint is not None else {}
-    bench = _Bench(options, settings, arm, rows, digests, occasions, ordeals, progress, say)
+    bench = _Bench(options, settings, arm, rows, digests, measurements, trials, progress, say)
     failed = False
     for name, row in rows.items():
         for seed in range(options.seeds if row is not None and name not in given else 1):
@@ -248,7 +248,7 @@ def _arm(options: BenchOptions) -> ArmDescription:
     return read_arm_json(root)
 
 
-def _occasions(options: BenchOptions, arm: SerialArm) -> list[Occasion]:
+def _measurements(options: BenchOptions, arm: SerialArm) -> list[Measurement]:
     """Every dataset in every mode."""
     layout = Layout(
         joint_units=options.joint_units,
@@ -256,17 +256,17 @@ def _occasions(options: BenchOptions, arm: SerialArm) -> list[Occasion]:
         state_joint_names=options.state_joint_names or None,
         any_arm=bool(options.arm),
     )
-    occasions: list[Occasion] = []
+    measurements: list[Measurement] = []
     for root, name in zip(options.datasets, distinct_names(options.datasets), strict=True):
         whole = load_trajectories(root, arm, layout, options.episodes or None, name)
         kept = study(arm, first_seconds(whole, of_each=options.seconds or math.inf))
         for mode in options.modes:
             if mode.startswith("plant") and options.plant_seconds:
                 part = study(arm, first_seconds(kept.set, in_all=options.plant_seconds))
-                occasions.append(Occasion(part, mode, _place(options, root, options.plant_seconds)))
+                measurements.append(Measurement(part, mode, _place(options, root, options.plant_seconds)))
             else:
-                occasions.append(Occasion(kept, mode, _place(options, root)))
-    return occasions
+                measurements.append(Measurement(kept, mode, _place(options, root)))
+    return measurements
 
 
 def _place(options: BenchOptions, root: Path, in_all: float = 0.0) -> str:
@@ -291,8 +291,8 @@ class _Bench:
         arm: SerialArm,
         rows: Mapping[str, LearnedRow | None],
         digests: Mapping[str, str],
-        occasions: Sequence[Occasion],
-        ordeals: Sequence[Ordeal],
+        measurements: Sequence[Measurement],
+        trials: Sequence[Trial],
         progress: bool,
         say: Callable[[str], None],
     ) -> None:
@@ -300,7 +300,7 @@ class _Bench:
         self._arm, self._learned, self._names = arm, rows, list(rows)
         # Of checkpoints that were given: another one is another row.
         self._digests = digests
-        self._occasions, self._ordeals = occasions, ordeals
+        self._measurements, self._trials = measurements, trials
         self._progress, self._say = progress, say
         self.summary = Summary(options.out / "summary.json")
         self._plots: dict[str, Plot] = {}
@@ -309,12 +309,12 @@ class _Bench:
         """Measure one solver wherever it was not measured before; False if it cannot be had."""
         missing = [
             each
-            for each in self._occasions
+            for each in self._measurements
             if self.summary.find(name, seed, self._place(name, each), each.mode) is None
         ]
         commands = self._commands_file(name)
-        undergoes = bool(self._ordeals) and seed == 0 and not commands.is_file()
-        if not missing and not undergoes:
+        on_trial = bool(self._trials) and seed == 0 and not commands.is_file()
+        if not missing and not on_trial:
             return True
         chosen: dict[str, Any] = {}
         if policy is not None:
@@ -339,13 +339,13 @@ class _Bench:
                 self._say(f"{name} is unavailable: {error}")
                 continue
             self.summary.add(evaluation, seed, self._place(name, each))
-        if undergoes:
-            save_commands(commands, undergo(solver, self._ordeals))
+        if on_trial:
+            save_commands(commands, run_trials(solver, self._trials))
         return True
 
-    def _place(self, name: str, occasion: Occasion) -> str:
+    def _place(self, name: str, measurement: Measurement) -> str:
         digest = self._digests.get(name)
-        return occasion.place if digest is None else f"{occasion.place}, checkpoint {digest[:12]}"
+        return measurement.place if digest is None else f"{measurement.place}, checkpoint {digest[:12]}"
 
     def _configuration(self, name: str, row: LearnedRow | None) -> str:
         """What tables say beside a row."""
@@ -358,7 +358,7 @@ class _Bench:
         """What was asked for, as far as it is measured, seeds apart."""
         asked = [
             (self.summary.find(name, seed, self._place(name, each), each.mode), each.recording.set.name)
-            for each in self._occasions
+            for each in self._measurements
             for name in self._names
             for seed in range(self._options.seeds)
         ]
@@ -366,7 +366,7 @@ class _Bench:
         return [row | {"dataset": dataset} for row, dataset in asked if row is not None]
 
     def _about(self) -> list[dict[str, Any]]:
-        return [describe_recording(each.recording) | {"mode": each.mode} for each in self._occasions]
+        return [describe_recording(each.recording) | {"mode": each.mode} for each in self._measurements]
 
     def _notes(self) -> list[str]:
         return [
@@ -414,12 +414,12 @@ class _Bench:
         """The figure of the standard motions, learned rows with their first seed."""
         files = {name: self._commands_file(name) for name in self._names}
         traces = {
-            name: measure(self._arm, list(load_commands(file, self._ordeals).values()))
+            name: measure(self._arm, list(load_commands(file, self._trials).values()))
             for name, file in files.items()
-            if self._ordeals and file.is_file()
+            if self._trials and file.is_file()
         }
         if traces:
-            self._save_plots(plot_anatomy(self._ordeals, traces, self._arm.joint_names))
+            self._save_plots(plot_anatomy(self._trials, traces, self._arm.joint_names))
 
     def _commands_file(self, name: str) -> Path:
         digest = self._digests.get(name, "")

@@ -28,7 +28,7 @@ from lerobot_mimicik.solvers.base import Array, IKSolver
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class StudiedSet:
     """A dataset as the evaluation sees it.
 
     Attributes:
@@ -41,10 +41,10 @@ class Recording:
     singular_value: tuple[Array, ...]
     passages: tuple[tuple[Passage, ...], ...]
 
-    def first(self, count: int) -> Recording:
+    def first(self, count: int) -> StudiedSet:
         """The first so many of its trajectories."""
         kept = replace(self.set, trajectories=self.set.trajectories[:count])
-        return Recording(kept, self.singular_value[:count], self.passages[:count])
+        return StudiedSet(kept, self.singular_value[:count], self.passages[:count])
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,23 +59,23 @@ class Evaluation:
     """
 
     row: dict[str, Any]
-    recording: Recording
+    recording: StudiedSet
     traces: tuple[Trace, ...]
     verdicts: tuple[Verdict, ...]
 
 
-def study(arm: SerialArm, trajectories: TrajectorySet) -> Recording:
+def study(arm: SerialArm, trajectories: TrajectorySet) -> StudiedSet:
     """Find the singular passages of a dataset; `arm` in float64."""
     length = characteristic_length(arm)
     values = tuple(smallest_singular_value(arm, one.q, length) for one in trajectories.trajectories)
     passages = tuple(tuple(find_passages(value, trajectories.fps)) for value in values)
-    return Recording(trajectories, values, passages)
+    return StudiedSet(trajectories, values, passages)
 
 
 def evaluate(
     arm: SerialArm,
     solvers: Mapping[str, IKSolver],
-    recordings: Sequence[Recording],
+    recordings: Sequence[StudiedSet],
     modes: Sequence[str],
     latency_queries: int = 200,
     seed: int = 0,
@@ -120,7 +120,7 @@ def evaluate_one(
     arm: SerialArm,
     name: str,
     solver: IKSolver,
-    recording: Recording,
+    recording: StudiedSet,
     mode: str,
     latency: Latency,
     seed: int = 0,
@@ -135,7 +135,7 @@ def evaluate_one(
 
 
 def make_evaluation(
-    arm: SerialArm, name: str, mode: str, recording: Recording, traces: tuple[Trace, ...], latency: Latency
+    arm: SerialArm, name: str, mode: str, recording: StudiedSet, traces: tuple[Trace, ...], latency: Latency
 ) -> Evaluation:
     """The row of one solver on one dataset in one mode, and what it rests on."""
     row: dict[str, Any] = {"solver": name, "mode": mode, "dataset": recording.set.name}

@@ -47,20 +47,18 @@ def measure_latency(solver: IKSolver, trajectory: Trajectory, queries: int = 200
         solver.solve_recorded(trajectory.q, trajectory.target)
         each_ms = 1e3 * (time.perf_counter() - begin) / len(trajectory)
         return Latency(each_ms, each_ms, len(trajectory), p95_ms=each_ms)
-    single = slice(0, 1) if solver.batched else 0
-    solver.reset(trajectory.q[single])
+    solver.reset_one(trajectory.q[0])
     seconds = np.empty(WARM_UP_QUERIES + queries)
     meter = EnergyMeter()
     for i in range(len(seconds)):
         if i == WARM_UP_QUERIES:
             meter = EnergyMeter()
         t = i % len(trajectory)
-        row = slice(t, t + 1) if solver.batched else t
-        q_curr, target = trajectory.q[row], trajectory.target[row]
+        q_curr, target = trajectory.q[t], trajectory.target[t]
         if solver.look_ahead:
             solver.foresee(trajectory.target[t + 1 : t + 1 + solver.look_ahead])
         begin = time.perf_counter()
-        solver.solve(q_curr, target)
+        solver.solve_one(q_curr, target)
         seconds[i] = time.perf_counter() - begin
     joules = meter.joules()
     milliseconds = 1e3 * seconds[WARM_UP_QUERIES:]

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from scipy.spatial import cKDTree
 
-from lerobot_mimicik.evaluation.evaluate import Evaluation, Recording
+from lerobot_mimicik.evaluation.evaluate import Evaluation, StudiedSet
 from lerobot_mimicik.evaluation.metrics import ESTOP_RAD, JOINT_SPIKE_RAD, Trace
 from lerobot_mimicik.evaluation.training_log import Curve
 from lerobot_mimicik.evaluation.trajectories import TrajectorySet
@@ -141,7 +141,7 @@ def plot_closed_loop_error(evaluation: Evaluation) -> Plot:
     return finished("closed_loop_error", "Error along near-singular motion", figure, caption)
 
 
-def strongest_passage(recording: Recording) -> tuple[int, Passage] | None:
+def strongest_passage(recording: StudiedSet) -> tuple[int, Passage] | None:
     """(trajectory, passage) where the recording comes closest to a singularity, or None without a passage."""
     found = [(i, passage) for i, passages in enumerate(recording.passages) for passage in passages]
     return min(found, key=lambda item: item[1].singular_value) if found else None

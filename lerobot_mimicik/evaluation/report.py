@@ -15,7 +15,7 @@ import torch
 from lerobot_mimicik import outputs
 from lerobot_mimicik.data.writer import ARM_FILE, LOG_FILE
 from lerobot_mimicik.evaluation import verdict as verdict_rules
-from lerobot_mimicik.evaluation.evaluate import Recording
+from lerobot_mimicik.evaluation.evaluate import StudiedSet
 from lerobot_mimicik.evaluation.metrics import (
     ESTOP_RAD,
     JOINT_SPIKE_RAD,
@@ -87,7 +87,7 @@ def definitions() -> dict[str, Any]:
     }
 
 
-def describe_recording(recording: Recording) -> dict[str, Any]:
+def describe_recording(recording: StudiedSet) -> dict[str, Any]:
     """What a dataset holds, for the report."""
     return {
         "name": recording.set.name,
@@ -121,7 +121,7 @@ def unavailable_row(
 def write_report(
     out: str | Path,
     rows: Sequence[Mapping[str, Any]],
-    recordings: Sequence[Recording],
+    recordings: Sequence[StudiedSet],
     settings: Mapping[str, Any],
 ) -> tuple[Path, Path]:
     """Write `report.json` and `report.md` into `out`.

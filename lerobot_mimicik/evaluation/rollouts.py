@@ -94,7 +94,7 @@ def make_rollouts(
 def open_loop(solver: IKSolver, trajectories: Sequence[Trajectory], options: RolloutOptions) -> list[Rollout]:
     """Recorded joints in, at every frame, whatever the solver answered before (the paper's offline table)."""
     rollouts = []
-    with _bar(trajectories, options) as bar:
+    with frame_bar(sum(map(len, trajectories)), options.label, options.progress) as bar:
         for trajectory in trajectories:
             q_cmd = solver.solve_recorded(trajectory.q, trajectory.target)
             rollouts.append(Rollout(trajectory, trajectory.q, q_cmd, len(trajectory)))
@@ -114,7 +114,7 @@ def closed_loop(
         return _offline(solver, trajectories, options)
     groups = [list(trajectories)] if solver.batched else [[trajectory] for trajectory in trajectories]
     rollouts: list[Rollout] = []
-    with _bar(trajectories, options) as bar:
+    with frame_bar(sum(map(len, trajectories)), options.label, options.progress) as bar:
         for group in groups:
             rollouts += _closed_loop_lockstep(solver, group, bar)
     return rollouts
@@ -125,7 +125,7 @@ def _offline(
 ) -> list[Rollout]:
     """Whole recordings at once; each command is the next measurement here too."""
     rollouts = []
-    with _bar(trajectories, options) as bar:
+    with frame_bar(sum(map(len, trajectories)), options.label, options.progress) as bar:
         for trajectory in trajectories:
             q_cmd = solver.solve_recorded(trajectory.q, trajectory.target)
             q_curr = np.concatenate([trajectory.q[:1], q_cmd[:-1]])
@@ -134,15 +134,11 @@ def _offline(
     return rollouts
 
 
-def _bar(trajectories: Sequence[Trajectory], options: RolloutOptions) -> tqdm:
-    return tqdm(
-        total=sum(map(len, trajectories)),
-        unit="frame",
-        desc=options.label,
-        disable=not options.progress,
-        # A file keeps every state of the bar.
-        mininterval=0.2 if sys.stderr.isatty() else 10.0,
-    )
+def frame_bar(frames: int, label: str, shown: bool) -> tqdm:
+    """A progress bar over frames, on stderr."""
+    # A file keeps every state of the bar.
+    interval = 0.2 if sys.stderr.isatty() else 10.0
+    return tqdm(total=frames, unit="frame", desc=label, disable=not shown, mininterval=interval)
 
 
 def _closed_loop_lockstep(solver: IKSolver, trajectories: list[Trajectory], bar: tqdm) -> list[Rollout]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from lerobot_mimicik.data.arm_arrays import Array
 from lerobot_mimicik.data.home import with_home
-from lerobot_mimicik.evaluation.anatomy import FPS, OUT_OF_REACH, make_ordeals
+from lerobot_mimicik.evaluation.anatomy import FPS, OUT_OF_REACH, make_trials
 from lerobot_mimicik.evaluation.metrics import ESTOP_RAD
 from lerobot_mimicik.evaluation.rollouts import make_rollouts
 from lerobot_mimicik.evaluation.trajectories import Trajectory
@@ -105,11 +105,11 @@ def follow(
         policy: A checkpoint that the guided solver has; None: it runs without.
     """
     description = with_home(description)
-    ordeal = make_ordeals(description, seed)[0]
-    if ordeal.name == OUT_OF_REACH:
+    trial = make_trials(description, seed)[0]
+    if trial.name == OUT_OF_REACH:
         return None
-    shaking = tremor(len(ordeal.trajectory), FPS, TREMOR_MM, np.random.default_rng(seed))
-    q, target = ordeal.trajectory.q, displaced(ordeal.trajectory.target, shaking)
+    shaking = tremor(len(trial.trajectory), FPS, TREMOR_MM, np.random.default_rng(seed))
+    q, target = trial.trajectory.q, displaced(trial.trajectory.target, shaking)
     trajectory, arm = Trajectory(0, q, target, arm=description), SerialArm(description)
     missing = available_solvers(name for name, *_ in _BESIDE)
     solver, name, about = next(row for row in _BESIDE if missing[row[0]] is None)
@@ -124,7 +124,7 @@ def follow(
         _followed(make_solver(solver, arm), name, about, trajectory),
         ours,
     )
-    return SideBySide(description, ordeal.name, target, ordeal.worst, followers)
+    return SideBySide(description, trial.name, target, trial.worst, followers)
 
 
 def _followed(solver: IKSolver, name: str, about: str, trajectory: Trajectory) -> Follower:

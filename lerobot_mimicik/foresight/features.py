@@ -17,6 +17,7 @@ from lerobot_mimicik.guidance.kinematics_kernels import steps_towards
 from lerobot_mimicik.guidance.model import arm_model
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain, quaternion_from_matrix
+from lerobot_mimicik.kinematics.plausibility import joint_limits
 
 Array = NDArray[np.float64]
 
@@ -47,9 +48,7 @@ class Features:
         self.history = history
         self._chain = array_chain(description)
         self.dof = self._chain.dof
-        joints = description.joints()
-        self.lower = np.array([joint.lower for joint in joints], dtype=float)
-        self.upper = np.array([joint.upper for joint in joints], dtype=float)
+        self.lower, self.upper = (bound.copy() for bound in joint_limits(description))
         turns = np.clip(self.lower, -np.pi, None), np.clip(self.upper, None, np.pi)
         self._middle, self._half = (turns[1] + turns[0]) / 2, np.maximum((turns[1] - turns[0]) / 2, 1e-3)
         reach = max(self._chain.stretched_length(0), 1e-6)

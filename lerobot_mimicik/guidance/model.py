@@ -12,6 +12,7 @@ from lerobot_mimicik.guidance import kinematics_kernels
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
 from lerobot_mimicik.kinematics.collision import ArmCollision
+from lerobot_mimicik.kinematics.plausibility import joint_limits
 from lerobot_mimicik.kinematics.point_chain import point_chain
 
 Array = NDArray[np.float64]
@@ -45,8 +46,8 @@ class ArmModel:
         self.description = description
         chain = array_chain(description)
         joints = description.joints()
-        self.lower = np.array([joint.lower for joint in joints], dtype=float)
-        self.upper = np.array([joint.upper for joint in joints], dtype=float)
+        # Copies: the kernels are compiled for arrays that may be written.
+        self.lower, self.upper = (bound.copy() for bound in joint_limits(description))
         arm = chain.stretched_length(1)
         # A column that the arm stands on is no part of it.
         self.reach = max(arm + min(chain.stretched_length(0) - arm, _COLUMN * arm), 1e-6)

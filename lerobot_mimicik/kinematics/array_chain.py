@@ -44,14 +44,14 @@ class ArrayChain:
         body, pose = 0, (np.eye(3), np.zeros(3))
         self.links[path[0].parent] = (body, pose)
         for joint in path:
-            pose = compose(pose, (rotation_from_rpy(joint.origin_rpy), np.array(joint.origin_xyz)))
+            pose = compose_frames(pose, (rotation_from_rpy(joint.origin_rpy), np.array(joint.origin_xyz)))
             if joint.movable:
                 align = _z_onto(np.array(joint.axis))
-                self.steps.append(compose(pose, (align, np.zeros(3))))
+                self.steps.append(compose_frames(pose, (align, np.zeros(3))))
                 body, pose = body + 1, (align.T, np.zeros(3))
             self.links[joint.child] = (body, pose)
         offset = (*description.tool_offset, *(0.0,) * (6 - len(description.tool_offset)))
-        self.tool = compose(pose, (rotation_from_rpy(offset[3:]), np.array(offset[:3])))
+        self.tool = compose_frames(pose, (rotation_from_rpy(offset[3:]), np.array(offset[:3])))
 
     def forward(self, q: np.ndarray) -> Pose:
         """Tool rotation (N, 3, 3) and position (N, 3) in the base frame, of joints (N, dof)."""
@@ -125,7 +125,7 @@ def array_chain(description: ArmDescription) -> ArrayChain:
     return ArrayChain(description)
 
 
-def compose(a: Pose, b: Pose) -> Pose:
+def compose_frames(a: Pose, b: Pose) -> Pose:
     """The pose a b."""
     return a[0] @ b[0], a[1] + a[0] @ b[1]
 

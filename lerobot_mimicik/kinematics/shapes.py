@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
-from lerobot_mimicik.kinematics.array_chain import Pose, array_chain, compose, rotation_from_rpy
+from lerobot_mimicik.kinematics.array_chain import Pose, array_chain, compose_frames, rotation_from_rpy
 from lerobot_mimicik.kinematics.urdf import Joint, read_urdf
 
 _BONE, _KNUCKLE = 0.012, 0.02  # radii of what stands for a body without shapes, as fractions of the reach
@@ -56,7 +56,7 @@ def read_shapes(description: ArmDescription, purpose: str = "collision", moving:
     found: list[Shape] = []
     for link, (body, body_link) in chain.links.items():
         for name, link_child in [(link, (np.eye(3), np.zeros(3))), *beside.get(link, [])]:
-            at = compose(body_link, link_child)
+            at = compose_frames(body_link, link_child)
             shapes = _shapes_of(links[name], purpose, body, at, colours)
             if not shapes and purpose == "visual":
                 shapes = _shapes_of(links[name], "collision", body, at, colours)
@@ -113,7 +113,7 @@ def _shapes_of(
         if not size or min(size) < 0 or size[0] <= 0:
             continue
         origin = element.find("origin")
-        pose = compose(at, _origin(origin)) if origin is not None else at
+        pose = compose_frames(at, _origin(origin)) if origin is not None else at
         found.append(Shape(kind, size, body, pose, _colour(element.find("material"), colours)))
     return found
 
@@ -133,7 +133,7 @@ def _links_beside(
             name, pose = stack.pop()
             for joint in below.get(name, []):
                 origin = (rotation_from_rpy(joint.origin_rpy), np.array(joint.origin_xyz))
-                child = (joint.child, compose(pose, origin))
+                child = (joint.child, compose_frames(pose, origin))
                 found.setdefault(link, []).append(child)
                 stack.append(child)
     return found

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import ArrayChain, array_chain
+from lerobot_mimicik.kinematics.plausibility import joint_limits
 from lerobot_mimicik.kinematics.trajectory_refinement import (
     PoseTargets,
     TrajectoryOptions,
@@ -44,7 +45,6 @@ __all__ = [
     "forward",
     "joint_range",
     "pose_residual",
-    "smallest_singular_value",
     "solve_trajectories",
 ]
 
@@ -86,8 +86,7 @@ def solve_trajectories(
 
 def joint_range(arm: Arm, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Joint limits less a margin [rad], each (dof,) float64; infinite where a joint turns without end."""
-    limits = [(joint.lower, joint.upper) for joint in _description(arm).joints()]
-    lower, upper = np.array(limits, dtype=np.float64).T
+    lower, upper = joint_limits(_description(arm))
     margin_each = np.minimum(margin, 0.25 * (upper - lower))
     return lower + margin_each, upper - margin_each
 
@@ -96,13 +95,6 @@ def forward(arm: Arm, q: np.ndarray) -> np.ndarray:
     """T_base_tool of joints (N, dof) as numpy float64 (N, 7), w >= 0."""
     rotation, position = array_chain(_description(arm)).forward(q)
     return np.concatenate([position, Rotation.from_matrix(rotation).as_quat(canonical=True)], axis=1)
-
-
-def smallest_singular_value(arm: Arm, q: np.ndarray, length: float = 0.3) -> np.ndarray:
-    """Smallest singular value (N,) of the Jacobian at joints (N, dof), its linear rows over `length` [m]."""
-    _, _, jacobian = array_chain(_description(arm)).forward_and_jacobian(q)
-    jacobian[:, :3] /= length
-    return np.linalg.svd(jacobian, compute_uv=False)[:, -1]
 
 
 def _description(arm: Arm) -> ArmDescription:

@@ -67,6 +67,16 @@ class IKSolver(ABC):
             Commanded joints, shaped as `q_curr`, absolute, in rad.
         """
 
+    def reset_one(self, q: Array) -> None:
+        """`reset` for one arm, at `q` (dof,), whether or not the solver takes batches."""
+        self.reset(q[None] if self.batched else q)
+
+    def solve_one(self, q_curr: Array, target_pose: Array) -> Array:
+        """`solve` for one arm, (dof,) and (7,) to (dof,), whether or not the solver takes batches."""
+        if self.batched:
+            return self.solve(q_curr[None], target_pose[None])[0]
+        return self.solve(q_curr, target_pose)
+
     def foresee(self, upcoming: Array) -> None:  # noqa: B027 - most solvers have no use for it
         """Targets (T, 7) of the frames after the one that `solve` is asked for next; holds for that question only."""
 
@@ -102,10 +112,9 @@ class IKSolver(ABC):
 
     def recorded_in_pieces(self, q_curr: Array, target_pose: Array, rows: Iterable[int]) -> Iterator[Array]:
         """What `solve_recorded` answers, in pieces of (n, dof) with n at most the next of `rows`."""
-        self.reset(q_curr[:1] if self.batched else q_curr[0])
-        for t in range(len(q_curr)):
-            row = slice(t, t + 1) if self.batched else t
-            yield np.reshape(self.solve(q_curr[row], target_pose[row]), (1, -1))
+        self.reset_one(q_curr[0])
+        for q, target in zip(q_curr, target_pose, strict=True):
+            yield np.reshape(self.solve_one(q, target), (1, -1))
 
 
 class OfflineSolver(IKSolver):

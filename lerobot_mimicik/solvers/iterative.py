@@ -12,6 +12,7 @@ import numpy as np
 
 from lerobot_mimicik.guidance.box_step import step_box
 from lerobot_mimicik.kinematics.chain import SerialArm
+from lerobot_mimicik.kinematics.plausibility import joint_limits as description_limits
 from lerobot_mimicik.solvers.base import Array, IKSolver
 
 MAX_STEP = 0.1
@@ -20,7 +21,8 @@ MAX_STEP = 0.1
 
 def joint_limits(arm: SerialArm) -> tuple[Array, Array]:
     """Position limits (dof,), (dof,) of an arm as numpy arrays; infinite for continuous joints."""
-    return arm.lower.double().cpu().numpy(), arm.upper.double().cpu().numpy()
+    lower, upper = description_limits(arm.description)
+    return lower.copy(), upper.copy()
 
 
 def approach(q: Array, solution: Array, max_step: float) -> Array:

@@ -42,7 +42,7 @@ class Browser:
     """One page of a headless Chromium; ends with the `with` that it is used in.
 
     Attributes:
-        complaints: Errors that the page wrote to its console or raised, so far.
+        errors: Errors that the page wrote to its console or raised, so far.
     """
 
     def __init__(self, url: str, width: int = 1280, height: int = 800) -> None:
@@ -55,7 +55,7 @@ class Browser:
         program = find_chromium()
         if program is None:
             raise FileNotFoundError(f"no Chromium is installed: none of {', '.join(_NAMES)} is on the path")
-        self.complaints: list[str] = []
+        self.errors: list[str] = []
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self._process = subprocess.Popen(
             [
@@ -149,11 +149,11 @@ class Browser:
     def _listen(self, message: dict[str, Any]) -> None:
         method, told = message.get("method"), message.get("params", {})
         if method == "Runtime.exceptionThrown":
-            self.complaints.append(str(told["exceptionDetails"]))
+            self.errors.append(str(told["exceptionDetails"]))
         elif method == "Runtime.consoleAPICalled" and told.get("type") in ("error", "assert"):
-            self.complaints.append(" ".join(str(each.get("value", each)) for each in told.get("args", [])))
+            self.errors.append(" ".join(str(each.get("value", each)) for each in told.get("args", [])))
         elif method == "Log.entryAdded" and told["entry"].get("level") == "error":
-            self.complaints.append(str(told["entry"].get("text")))
+            self.errors.append(str(told["entry"].get("text")))
 
     def _page_address(self) -> str:
         """The address of the page's debugger, once the browser has written its port."""

@@ -82,7 +82,7 @@ class Player:
         self._commands: deque[Array] = deque([self.q], maxlen=frames + 3)
         self._times: deque[float] = deque(maxlen=frames)
         self.reading: Reading | None = None
-        self.solver.reset(self.q[None] if self.solver.batched else self.q)
+        self.solver.reset_one(self.q)
 
     def follow(self, target: Array, upcoming: Array | None) -> None:
         """One frame; a solver that raises, or whose answer is not finite, leaves its arm where it is."""
@@ -97,10 +97,7 @@ class Player:
         try:
             if upcoming is not None and self.solver.look_ahead:
                 self.solver.foresee(upcoming[: self.solver.look_ahead])
-            if self.solver.batched:
-                command = self.solver.solve(self.q[None], target[None])[0]
-            else:
-                command = self.solver.solve(self.q, target)
+            command = self.solver.solve_one(self.q, target)
         except Exception as error:  # whatever a library raises, the others play on
             return self.q, str(error) or type(error).__name__
         command = np.array(command, dtype=float)

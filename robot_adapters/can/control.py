@@ -49,12 +49,12 @@ from robot_adapters.safety import (
     FeedbackTimeout,
     FollowingError,
     ForeignMaster,
+    GateDecision,
     JointLimitViolation,
     NonFiniteCommand,
     SafetyEvent,
     SafetyGate,
     SensorFault,
-    Verdict,
 )
 
 _SEND_FAILURES = 25  # ticks in a row without a frame sent before the bus counts as off
@@ -119,7 +119,7 @@ class ControlLoop:
         self._news: deque[SafetyEvent] = deque(maxlen=_EVENTS_KEPT)
         self.stop_event: SafetyEvent | None = None
 
-    def submit(self, q: ArrayLike, opening: float | None = None) -> Verdict:
+    def submit(self, q: ArrayLike, opening: float | None = None) -> GateDecision:
         """Judge a target [rad] (dof,) with a gripper opening [m], and follow it unless refused.
 
         The verdict's `q` is the target in force after it, and its events include the loop's since the last
@@ -146,14 +146,16 @@ class ControlLoop:
                 if opening is not None and self.gripper is not None and self._gripper_setpoint is not None:
                     within = min(max(opening, 0.0), self.gripper.max_opening)
                     self._gripper_setpoint.aim([self.gripper.motor_angle(within)], now)
-            return Verdict(verdict.status, self._setpoint.target.copy(), self.news() + verdict.events)
+            return GateDecision(
+                verdict.status, self._setpoint.target.copy(), self.new_events() + verdict.events
+            )
 
     def target(self) -> NDArray[np.float64]:
         """The target in force [rad] (dof,): the last one admitted, or where the arm holds."""
         with self.lock:
             return self._setpoint.target.copy()
 
-    def news(self) -> tuple[SafetyEvent, ...]:
+    def new_events(self) -> tuple[SafetyEvent, ...]:
         """The events of the control loop since the last call."""
         with self.lock:
             events = tuple(self._news)
@@ -198,7 +200,7 @@ class ControlLoop:
                 self._command(start)
             self.recorder.tick(start, self.clock.monotonic(), age)
 
-    def _judge(self, q: ArrayLike, opening: float | None, now: float) -> Verdict:
+    def _judge(self, q: ArrayLike, opening: float | None, now: float) -> GateDecision:
         age, quietest = self.table.oldest(now)
         if age > self.limits.feedback_timeout:
             silence = min(age, now - self._started) * 1e3
@@ -213,7 +215,7 @@ class ControlLoop:
         if 0.0 <= opening <= widest:
             return verdict
         event = JointLimitViolation(f"gripper opening {opening:.4f} m outside [0, {widest}]")
-        return Verdict(CommandStatus.LIMITED, verdict.q, (*verdict.events, event))
+        return GateDecision(CommandStatus.LIMITED, verdict.q, (*verdict.events, event))
 
     def _read(self, now: float) -> None:
         while (message := self.bus.recv(0.0)) is not None:
@@ -250,7 +252,7 @@ class ControlLoop:
             self.table.distrust(reasons)
 
     def _supervise(self, now: float, age: float, quietest: int) -> None:
-        for event in self.table.troubles():
+        for event in self.table.faults():
             self.stop(event)
         if age > self.limits.feedback_timeout:
             event = FeedbackTimeout(
@@ -293,9 +295,9 @@ class ControlLoop:
         velocity = self._harmless(position, velocity * settings.velocity_feedforward)
         self._sent, self._sent_at = position, now
         measured = self.table.joints()[0]
-        troubles = [self.table.records[motor.id].trouble(self.limits) for motor in self.motors[: self.dof]]
-        for joint, trouble in enumerate(troubles):
-            if isinstance(trouble, SensorFault):
+        faults = [self.table.records[motor.id].fault(self.limits) for motor in self.motors[: self.dof]]
+        for joint, fault in enumerate(faults):
+            if isinstance(fault, SensorFault):
                 # Its angle is false: a load carried by it would be carried wrongly.
                 self._doubted.setdefault(joint, float(self._witness.expected[joint]))
         posture = measured.copy()
@@ -312,12 +314,12 @@ class ControlLoop:
         laws = zip(position.tolist(), velocity.tolist(), torque.tolist(), damping, strict=True)
         for joint, (motor, (q, dq, tau, kd)) in enumerate(zip(self.motors[: self.dof], laws, strict=True)):
             kp = 0.0 if taken[joint] else self._gain_scale * settings.kp[joint]
-            trouble = troubles[joint]
+            fault = faults[joint]
             if self._let_go:
                 dq = tau = kp = 0.0
-            elif self.mode is ArmMode.STOPPED and trouble:
+            elif self.mode is ArmMode.STOPPED and fault:
                 # A joint whose angle is wrong is not driven by it: braked, and carried against gravity.
-                blind = isinstance(trouble, SensorFault)
+                blind = isinstance(fault, SensorFault)
                 dq, kp, tau = 0.0, 0.0, tau if blind else 0.0
                 kd = max(kd, settings.final_damping[joint]) if blind else kd
             failures += self._send(motor, motor.encode_mit(q, dq, tau, kp, kd))
@@ -366,8 +368,8 @@ def _resting_velocity(settings: LoopSettings, dof: int) -> NDArray[np.float64]:
     return np.asarray(settings.kp[:dof], dtype=float) / np.maximum(settings.kd[:dof], 1e-6)
 
 
-def _refusal(event: SafetyEvent) -> Verdict:
-    return Verdict(CommandStatus.REFUSED, None, (event,))
+def _refusal(event: SafetyEvent) -> GateDecision:
+    return GateDecision(CommandStatus.REFUSED, None, (event,))
 
 
 def _decoders(motors: Sequence[Motor]) -> dict[int, Motor]:

@@ -193,7 +193,7 @@ class CanArm[IdentityT: ArmIdentity](ABC):
 
     def events(self) -> tuple[SafetyEvent, ...]:
         """What the control loop did since the last command or call, for callers that send no commands."""
-        return self._running().news()
+        return self._running().new_events()
 
     def statistics(self) -> DriverStatistics:
         """Counts and timings since `connect`; after `close`, those at the end. Raises NotConnectedError

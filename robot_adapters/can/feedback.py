@@ -66,13 +66,13 @@ class MotorRecord:
         self.mosfet_temperature = feedback.mosfet_temperature
         self.stamp = now
         self.frames += 1
-        # Damaged frames in a row do not say the same; a motor in trouble does.
+        # Damaged frames in a row do not say the same; a motor with a fault does.
         bad, hot = self._bad(), self._hot(limits)
         self._bad_state = (self._bad_state if same_error else 0) + 1 if bad else 0
         self._too_hot = (self._too_hot if warming <= _WARMING else 0) + 1 if hot else 0
         self._troubled = self._troubled + 1 if bad or hot else 0
 
-    def trouble(self, limits: SafetyLimits) -> SafetyEvent | None:
+    def fault(self, limits: SafetyLimits) -> SafetyEvent | None:
         """The event that this motor's state asks for, if any."""
         if self.witness.objection:
             return SensorFault(self.witness.objection)
@@ -135,7 +135,7 @@ class FeedbackTable:
         return rows[:, 0], rows[:, 1], rows[:, 2]
 
     def distrust(self, reasons: Mapping[int, str]) -> None:
-        """Note what is wrong with joints' feedback, by number of the joint; it is a trouble for good."""
+        """Note what is wrong with joints' feedback, by number of the joint; it is trouble for good."""
         for joint, reason in reasons.items():
             self._joints[joint].witness.object(reason)
 
@@ -149,7 +149,7 @@ class FeedbackTable:
         record = min(self.records.values(), key=lambda record: record.stamp)
         return now - record.stamp, record.motor.id
 
-    def troubles(self) -> list[SafetyEvent]:
+    def faults(self) -> list[SafetyEvent]:
         """The events that the motors' states ask for, joints first."""
-        found = (record.trouble(self._limits) for record in self.records.values())
+        found = (record.fault(self._limits) for record in self.records.values())
         return [event for event in found if event is not None]

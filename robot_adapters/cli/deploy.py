@@ -15,7 +15,7 @@ from lerobot_mimicik import outputs
 from lerobot_mimicik.cli.options import parse, say_loading
 
 if TYPE_CHECKING:
-    from lerobot_mimicik.evaluation.evaluate import Recording
+    from lerobot_mimicik.evaluation.evaluate import StudiedSet
     from robot_adapters.adapter import MimicIKAdapter
     from robot_adapters.deployment import DeploymentLog
 
@@ -196,7 +196,7 @@ def _solver_name(config: DeployConfig) -> str:
     return "guided_ahead" if config.look_ahead else "guided"
 
 
-def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> Recording:
+def _motion(config: DeployConfig, adapter: MimicIKAdapter, arm: Any) -> StudiedSet:
     """The motion to follow: recorded, or the generated near-singular set."""
     import tempfile
 
@@ -231,11 +231,10 @@ def _generated(folder: Path, config: DeployConfig) -> Path:
 
 
 def _drive(
-    config: DeployConfig, adapter: MimicIKAdapter, recording: Recording, progress: bool
+    config: DeployConfig, adapter: MimicIKAdapter, recording: StudiedSet, progress: bool
 ) -> tuple[list[DeploymentLog], dict[str, Any]]:
     """Drive every trajectory, and say what driver and simulated arm counted."""
-    from tqdm import tqdm
-
+    from lerobot_mimicik.evaluation.rollouts import frame_bar
     from robot_adapters.arm import SimulatedArmCell
     from robot_adapters.clock import RealClock, SimulatedClock
     from robot_adapters.deployment import Watcher, approach, drive
@@ -260,14 +259,7 @@ def _drive(
 
     logs: list[DeploymentLog] = []
     loops, protections = [], []
-    bar = tqdm(
-        total=recording.set.frames,
-        unit="frame",
-        desc="deploying",
-        disable=not progress,
-        mininterval=0.2 if sys.stderr.isatty() else 10.0,
-    )
-    with bar:
+    with frame_bar(recording.set.frames, "deploying", progress) as bar:
         for number, trajectory in enumerate(recording.set.trajectories):
             cell: SimulatedArmCell | None = None
             if config.interface == "virtual":
@@ -297,7 +289,7 @@ def _drive(
                 log = drive(
                     arm,
                     clock,
-                    _told(control, adapter, arm),
+                    _after_commands(control, adapter, arm),
                     trajectory.target,
                     fps,
                     time.perf_counter,
@@ -337,7 +329,7 @@ def _drive(
     return logs, extra
 
 
-def _told(control: Any, adapter: MimicIKAdapter, arm: Any) -> Any:
+def _after_commands(control: Any, adapter: MimicIKAdapter, arm: Any) -> Any:
     """The controller, told before each frame what the driver made of the command before."""
     first = True
 
@@ -351,7 +343,9 @@ def _told(control: Any, adapter: MimicIKAdapter, arm: Any) -> Any:
     return controller
 
 
-def _tool_error(adapter: MimicIKAdapter, recording: Recording, logs: list[DeploymentLog]) -> dict[str, float]:
+def _tool_error(
+    adapter: MimicIKAdapter, recording: StudiedSet, logs: list[DeploymentLog]
+) -> dict[str, float]:
     """Between where the tool was measured and the target of that frame: the arm's lag included."""
     import numpy as np
 

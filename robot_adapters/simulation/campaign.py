@@ -59,7 +59,7 @@ _INTRUSIONS = {
 }
 
 
-class Outcome(enum.StrEnum):
+class FaultOutcome(enum.StrEnum):
     """How a case ended, from mild to severe."""
 
     TRACKING = "tracking"  # never anything but tracking
@@ -73,7 +73,7 @@ class FaultCase:
 
     seed: int
     fault: Fault
-    outcome: Outcome
+    outcome: FaultOutcome
     events: tuple[str, ...]
     complaints: tuple[str, ...]
     commands: int
@@ -143,7 +143,7 @@ def run_case(fault: Fault, seed: int = 0) -> FaultCase:
             cell.arm.connect()
         except (BusError, RangeError, StartRefusedError) as error:
             names.append(type(error).__name__)
-            outcome = Outcome.STOP
+            outcome = FaultOutcome.STOP
         else:
             start = cell.clock.monotonic()
             if fault.start > 0:
@@ -182,7 +182,7 @@ def run_case(fault: Fault, seed: int = 0) -> FaultCase:
             cell.listener.expect_motion()
             outcome = _outcome(modes)
             if fault.kind is FaultKind.KILLED:
-                outcome = Outcome.STOP if disturbance.let_go else Outcome.TRACKING
+                outcome = FaultOutcome.STOP if disturbance.let_go else FaultOutcome.TRACKING
         disturbance.close()
         complaints = _complaints(cell, fault, outcome, modes, names) + disturbance.complaints
         complaints += truth.complaints(fault)
@@ -237,7 +237,7 @@ class _TruthWatch:
         return found
 
 
-def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[Outcome]:
+def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[FaultOutcome]:
     """The outcomes that a fault may have.
 
     Damaged or missing frames lead to tracking, or to a hold where feedback stays away for more than its
@@ -248,57 +248,57 @@ def specified_outcomes(fault: Fault, limits: SafetyLimits | None = None) -> set[
     limits = limits or SafetyLimits()
     stops = (FaultKind.MOTOR_ERROR, FaultKind.OVER_TEMPERATURE, FaultKind.BUS_OFF, FaultKind.WRONG_RANGES)
     if fault.kind in (*stops, *_ALWAYS_SHOW, FaultKind.CONTROL_MODE):
-        return {Outcome.STOP}
+        return {FaultOutcome.STOP}
     if fault.kind in DISTURBANCES:
         return _disturbed_outcomes(fault, limits)
     if fault.kind in SENSOR_FAULTS:
         return {
-            Outcome.TRACKING,
-            Outcome.STOP,
-            *([Outcome.HOLD] if fault.kind is FaultKind.NOISY_ENCODER else []),
+            FaultOutcome.TRACKING,
+            FaultOutcome.STOP,
+            *([FaultOutcome.HOLD] if fault.kind is FaultKind.NOISY_ENCODER else []),
         }
     if fault.kind is FaultKind.DUPLICATED:
-        return {Outcome.TRACKING}
+        return {FaultOutcome.TRACKING}
     silence = fault.duration if fault.kind is not FaultKind.DELAYED else min(fault.duration, fault.magnitude)
     certain = fault.kind is FaultKind.SILENT_MOTOR or (fault.kind is FaultKind.DROPPED and fault.rate == 1.0)
-    allowed = set() if certain and silence > limits.feedback_timeout + _GRACE else {Outcome.TRACKING}
+    allowed = set() if certain and silence > limits.feedback_timeout + _GRACE else {FaultOutcome.TRACKING}
     if silence > limits.feedback_timeout - _GRACE:
-        allowed.add(Outcome.HOLD)
+        allowed.add(FaultOutcome.HOLD)
     if silence > limits.lost_timeout - _GRACE:
-        allowed.add(Outcome.STOP)
+        allowed.add(FaultOutcome.STOP)
         if certain and silence > limits.lost_timeout + _GRACE:
-            allowed.discard(Outcome.HOLD)
+            allowed.discard(FaultOutcome.HOLD)
     if fault.kind is FaultKind.DELAYED and silence > limits.feedback_timeout - _GRACE:
         # Angles that are as old as stale ones may contradict the commands before they are called stale.
-        allowed.add(Outcome.STOP)
+        allowed.add(FaultOutcome.STOP)
     return allowed
 
 
-def _disturbed_outcomes(fault: Fault, limits: SafetyLimits) -> set[Outcome]:
+def _disturbed_outcomes(fault: Fault, limits: SafetyLimits) -> set[FaultOutcome]:
     """A second driver and traffic for others disturb nobody; a driver that stood still holds when its targets are
     old, and stops when the motors have let go. All else is another master, a motor lost or a dead driver.
     """
     if fault.kind in (FaultKind.SECOND_DRIVER, FaultKind.BUSY_BUS):
-        return {Outcome.TRACKING}
+        return {FaultOutcome.TRACKING}
     if fault.kind is not FaultKind.FROZEN:
-        return {Outcome.STOP}
+        return {FaultOutcome.STOP}
     timeout = AirbotSettings().motor_timeout
     if timeout is not None and fault.duration > timeout:
-        return {Outcome.STOP}
+        return {FaultOutcome.STOP}
     # The last target may be a period old when the driver freezes.
     old = fault.duration + _PERIOD > limits.target_timeout
-    return {Outcome.HOLD} if old else {Outcome.TRACKING}
+    return {FaultOutcome.HOLD} if old else {FaultOutcome.TRACKING}
 
 
-def _outcome(modes: list[ArmMode]) -> Outcome:
+def _outcome(modes: list[ArmMode]) -> FaultOutcome:
     # The loop holds until the first target comes.
     if ArmMode.STOPPED in modes:
-        return Outcome.STOP
-    return Outcome.HOLD if ArmMode.HOLD in modes[1:] else Outcome.TRACKING
+        return FaultOutcome.STOP
+    return FaultOutcome.HOLD if ArmMode.HOLD in modes[1:] else FaultOutcome.TRACKING
 
 
 def _complaints(
-    cell: SimulatedCell, fault: Fault, outcome: Outcome, modes: list[ArmMode], names: list[str]
+    cell: SimulatedCell, fault: Fault, outcome: FaultOutcome, modes: list[ArmMode], names: list[str]
 ) -> list[str]:
     complaints = []
     allowed = specified_outcomes(fault)
@@ -308,7 +308,7 @@ def _complaints(
         complaints += _unnoticed(cell, fault, modes, names)
     if cell.simulation.emergency_stopped:
         complaints.append("the motors stopped in emergency")
-    if fault.duration < _LONGEST and outcome is not Outcome.STOP and modes[-1] is not ArmMode.TRACKING:
+    if fault.duration < _LONGEST and outcome is not FaultOutcome.STOP and modes[-1] is not ArmMode.TRACKING:
         complaints.append("did not track again after the fault was over")
     return complaints
 

@@ -26,7 +26,7 @@ REST_MARGIN = 0.002
 
 
 @dataclass
-class JointWitness:
+class HeardMotor:
     """The commands of one joint that were seen on the bus."""
 
     motor: Motor
@@ -48,7 +48,7 @@ class BusListener:
         self.bus, self.clock = bus, clock
         limits = zip((*OD_JOINTS, *DM_JOINTS), np.asarray(lower), np.asarray(upper), strict=True)
         self.joints = {
-            i: JointWitness(OdMotor(i) if i in OD_JOINTS else DmMotor(i), float(low), float(high))
+            i: HeardMotor(OdMotor(i) if i in OD_JOINTS else DmMotor(i), float(low), float(high))
             for i, low, high in limits
         }
         self.commands = 0

@@ -6,7 +6,6 @@ from lerobot_mimicik.kinematics.trajectory_ik import (
     forward,
     joint_range,
     pose_residual,
-    smallest_singular_value,
     solve_trajectories,
 )
 
@@ -16,6 +15,5 @@ __all__ = [
     "forward",
     "joint_range",
     "pose_residual",
-    "smallest_singular_value",
     "solve_trajectories",
 ]
