@@ -7,15 +7,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lerobot_mimicik.evaluation import training_process
 from lerobot_mimicik.evaluation.bench import LearnedRow, Summary
+from lerobot_mimicik.evaluation.bench_options import BenchOptions
 from lerobot_mimicik.evaluation.report import machine
 from lerobot_mimicik.kinematics.arms import ArmDescription
-
-if TYPE_CHECKING:
-    from lerobot_mimicik.evaluation.bench_run import BenchOptions
 
 
 @dataclass(frozen=True)
