@@ -51,7 +51,7 @@ class Conditioning(nn.Module):
 
 
 class RelativeConditioning(Conditioning):
-    """The target as seen from the current pose, as far as training has seen any."""
+    """The target as seen from the current pose, no further away than any in training."""
 
     def __init__(self, dof: int):
         super().__init__(dof)
@@ -73,7 +73,7 @@ class RelativeConditioning(Conditioning):
 
         Behind a target that it cannot follow at once the network would else be asked for what it never saw, and
         would not come back. Steps of the largest size are rare in training: from a target `_FAR` times too far on
-        the step is the share `_SURE` of the largest.
+        the step is the fraction `_SURE` of the largest.
         """
         largest = torch.where(relative > 0, self.relative.upper, -self.relative.lower)
         times = (

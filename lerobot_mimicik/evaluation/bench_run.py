@@ -303,7 +303,7 @@ class _Bench:
         return solver_configuration(name) if row is None else row.configuration(self._options.size)
 
     def _rows(self) -> list[dict[str, Any]]:
-        """What was asked for, as far as it is measured, seeds apart."""
+        """The measured rows among those of this run, one for each seed."""
         asked = [
             (self.summary.find(name, seed, self._place(name, each), each.mode), each.recording.set.name)
             for each in self._measurements
@@ -329,7 +329,7 @@ class _Bench:
         ]
 
     def write(self) -> None:
-        """The table and figures of what was asked for, as far as it is measured."""
+        """The table and figures of the measured rows among those of this run."""
         rows = self._rows()
         self.summary.save()
         configurations = {name: self._configuration(name, row) for name, row in self._learned.items()}

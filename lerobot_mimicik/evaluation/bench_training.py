@@ -137,7 +137,7 @@ def _arm_options(urdf: Path, arm: ArmDescription) -> list[str]:
 
 
 def _keep_arguments(training: Training, asked: dict) -> None:
-    """Note what a training is begun with, or see that it was begun with the same."""
+    """Store a training's arguments, or check that they are the stored ones."""
     folder = training.run.parent
     kept = folder / "arguments.json"
     begun = training_process.last_step(training.run) > 0 and kept.is_file()

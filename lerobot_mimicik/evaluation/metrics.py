@@ -3,11 +3,11 @@
 Definitions (position in mm, rotation in degrees, joints in rad, rates in percent of all recorded frames):
 
 - *error*: distance between the tool pose of the command, FK(q_cmd), and the target of that frame.
-- *SR@x*: share of frames with a position error of at most x mm; *Cartesian spike* is 100 - SR@10mm.
+- *SR@x*: fraction of frames with a position error of at most x mm; *Cartesian spike* is 100 - SR@10mm.
 - *delta q*: the command minus the joints that the solver was told, largest joint of the frame.
-- *joint spike*, *E-stop*: share of frames with delta q over 0.1 and over 0.5 rad (the arm's motor limits at
+- *joint spike*, *E-stop*: fraction of frames with delta q over 0.1 and over 0.5 rad (the arm's motor limits at
   20 Hz: a warning, an emergency stop) by more than 1e-6 rad: a solver that keeps a bound does so to rounding.
-- *limit violation*: share of frames with a command outside a joint's limits by more than 1e-6 rad.
+- *limit violation*: fraction of frames with a command outside a joint's limits by more than 1e-6 rad.
 - *non-finite*: number of commands with a NaN or an infinity. Such a command counts as a joint spike and an
   E-stop and succeeds at no threshold; so do, for SR, the frames never reached because of it. Means,
   percentiles and maxima are over the finite commands.

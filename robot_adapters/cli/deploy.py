@@ -358,7 +358,7 @@ def _tool_error(
 
 
 def _processor_time() -> Any:
-    """Time of all processors so far, and what of it a hypervisor gave to others; zeros where it is not told."""
+    """Total and stolen time of all processors so far; zeros where the system does not report them."""
     import numpy as np
 
     stat = Path("/proc/stat")

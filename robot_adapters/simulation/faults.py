@@ -71,7 +71,7 @@ class Fault:
     """One fault.
 
     It lasts from `start` for `duration` [s, the arm's clock]. `motor_id` None means every motor. `rate` is
-    the share of frames that a frame fault strikes. `magnitude` is the delay [s] of DELAYED, the error code of
+    the fraction of frames that a frame fault strikes. `magnitude` is the delay [s] of DELAYED, the error code of
     MOTOR_ERROR, the temperature of OVER_TEMPERATURE, the mode that a DM motor is in for CONTROL_MODE, the
     commands per second of another master and, for WRONG_RANGES, the factor on the ranges that a motor reports;
     for the kinds that strike sensors `sensor_faults` says what it is.

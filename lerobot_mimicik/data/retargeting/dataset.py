@@ -87,7 +87,7 @@ def retarget_dataset(
 
     Args:
         source: Parquet, CSV, a folder of them, or a LeRobot dataset with poses; see `recordings`.
-        output: Folder of the dataset; with a test share of its two splits "train" and "test".
+        output: Folder of the dataset; with a test share its two splits "train" and "test".
         description: The arm.
         options: How recordings are made to fit.
         columns: Which columns mean what, where the names are unusual.
@@ -280,7 +280,7 @@ def _fingerprint(recordings: Sequence[Recording]) -> str:
 
 
 def _test_sessions(outcomes: Sequence[Outcome], share: float, seed: int) -> set[str]:
-    """Sessions of the test split: drawn until they hold the share of the frames, at least one, never all."""
+    """Sessions of the test split: drawn until they hold the fraction of the frames, at least one, never all."""
     if share == 0:
         return set()
     frames: Counter[str] = Counter()

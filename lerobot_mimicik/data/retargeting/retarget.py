@@ -58,7 +58,7 @@ class RetargetOptions:
         cleaning: Repair and resampling of the recording.
         placement: Room and freedom of placements.
         max_step: A joint never moves further in one frame [rad]; the paper warns from 0.1 on.
-        step_margin: The motion is slowed to this share of `max_step`.
+        step_margin: The motion is slowed to this fraction of `max_step`.
         max_position_error, max_rotation_error: A frame further off its target spoils the trajectory [m],
             [rad].
         clearance: Distance kept from the arm itself and the floor [m].

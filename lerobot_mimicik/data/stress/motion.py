@@ -67,7 +67,7 @@ def moves(
 
 
 def eased(frames: int) -> Array:
-    """The share of a minimum-jerk move that is done, (frames,), from above 0 to 1."""
+    """The fraction of a minimum-jerk move that is done, (frames,), from above 0 to 1."""
     phase = np.arange(1, frames + 1) / frames
     return phase**3 * (10 - 15 * phase + 6 * phase**2)
 

@@ -11,7 +11,7 @@ from lerobot_mimicik.kinematics.tremor import tremor
 
 _LEVER_M = 0.15  # weighs rotation against translation in singular values
 _STARTS, _ITERATIONS, _PROBE = 96, 12, 1e-4
-_NEAR = 0.1  # share of the arm's median smallest singular value that counts as singular
+_NEAR = 0.1  # fraction of the arm's median smallest singular value that counts as singular
 _SCATTER_RAD = 0.05  # how closely the singular configurations are visited
 _TREMOR_MM = 1.0
 

@@ -11,7 +11,7 @@ from lerobot_mimicik.data.stress.motion import eased, everyday_motion
 from lerobot_mimicik.kinematics.tremor import displaced
 
 _BEYOND = (1.02, 1.15)  # of the longest reach
-_CONE = 0.4  # spread of the direction about straight outwards, as a share of its length
+_CONE = 0.4  # spread of the direction about straight outwards, as a fraction of its length
 _LEAD_S, _OUT_S, _WAIT_S, _BACK_S, _AFTER_S = 1.0, 2.5, 1.0, 2.5, 2.0
 
 

@@ -26,10 +26,10 @@ class OperatorStyle:
     reach_speed: float  # m/s, peak of a typical reach
     speed_spread: float  # log-standard deviation of reach speeds
     smoothing_s: float  # standard deviation of the low-pass that hand and leader arm amount to
-    curvature: float  # sideways bow of a reach, as a share of its length
-    overshoot: float  # typical landing error of a reach's first submovement, as a share of its length
-    correction_rate: float  # share of reaches that need corrections
-    pause_rate: float  # share of arrivals followed by a pause
+    curvature: float  # sideways bow of a reach, as a fraction of its length
+    overshoot: float  # typical landing error of a reach's first submovement, as a fraction of its length
+    correction_rate: float  # fraction of reaches that need corrections
+    pause_rate: float  # fraction of arrivals followed by a pause
     pause_s: float  # mean length of a pause
     sway_m: float  # slow wandering of a hand that nothing supports, root mean square per axis
     sway_rad: float  # the same in rotation
@@ -37,7 +37,7 @@ class OperatorStyle:
     tremor_m: float  # root mean square per axis
     tremor_rad: float  # root mean square per axis
     centre: tuple[float, float, float]  # preferred place, as shares (-0.5..0.5) of the workspace's extent
-    extent: tuple[float, float, float]  # share of the workspace in use, per axis
+    extent: tuple[float, float, float]  # fraction of the workspace in use, per axis
     tilt: tuple[float, float, float]  # rotation vector from home to preferred orientation, rad
     tilt_spread: float  # standard deviation of orientations about the preferred one, rad per axis
 

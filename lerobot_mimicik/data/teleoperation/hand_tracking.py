@@ -14,7 +14,7 @@ from lerobot_mimicik.data.slowing import stretched_clock
 
 ROTATION_LENGTH_M = 0.15  # weighs rotation (rad) against translation (m)
 _DAMPING_M = 0.02
-_POSTURE_GAIN = 0.02  # share of the way home per frame that joints take where the pose leaves them free
+_POSTURE_GAIN = 0.02  # fraction of the way home per frame that joints take where the pose leaves them free
 
 
 def weighted(jacobian: Array) -> Array:
