@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import array_chain
@@ -56,8 +55,7 @@ class ArmArrays:
 
     def pose(self, q: Array) -> Array:
         """T_base_tool of joints (n, dof) as x y z qx qy qz qw with qw >= 0, (n, 7)."""
-        rotation, position = self._chain.forward(q)
-        return np.column_stack([position, Rotation.from_matrix(rotation).as_quat(canonical=True)])
+        return self._chain.pose(q)
 
     def tool_and_jacobian(self, q: Array) -> tuple[Array, Array]:
         """T_base_tool (n, 4, 4) and geometric Jacobian (n, 6, dof) of joints (n, dof).

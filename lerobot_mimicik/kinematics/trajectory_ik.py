@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.array_chain import ArrayChain, array_chain
@@ -93,8 +92,7 @@ def joint_range(arm: Arm, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 def forward(arm: Arm, q: np.ndarray) -> np.ndarray:
     """T_base_tool of joints (N, dof) as numpy float64 (N, 7), w >= 0."""
-    rotation, position = array_chain(_description(arm)).forward(q)
-    return np.concatenate([position, Rotation.from_matrix(rotation).as_quat(canonical=True)], axis=1)
+    return array_chain(_description(arm)).pose(q)
 
 
 def _description(arm: Arm) -> ArmDescription:

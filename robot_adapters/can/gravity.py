@@ -10,9 +10,9 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.kinematics.arms import ArmDescription
+from lerobot_mimicik.kinematics.array_chain import array_chain
 
 STANDARD_GRAVITY = 9.81  # m/s^2
 
@@ -35,33 +35,19 @@ class GravityModel:
         """
         self._gravity = tuple(float(x) for x in np.asarray(gravity, dtype=float))
         inertials = _inertials(description.urdf)
-        order = {name: index for index, name in enumerate(description.joint_names)}
-        self.dof = len(order)
-        # Each movable joint turns about the z axis of a frame of its own. `to_link` leads from that frame to
-        # the link that the chain has reached, over fixed joints and over the turn that brings z onto the
-        # joint's axis.
-        self._joints: list[_JointFrame] = []
-        to_link = np.eye(4)
-        for joint in description.chain():
-            step = np.eye(4)
-            step[:3, :3] = Rotation.from_euler("xyz", joint.origin_rpy).as_matrix()
-            step[:3, 3] = joint.origin_xyz
-            to_link = to_link @ step
-            if joint.movable:
-                if joint.type == "prismatic":
-                    raise ValueError(
-                        f"joint {joint.name!r} is prismatic; the gravity model knows revolute joints"
-                    )
-                turn = np.eye(4)
-                turn[:3, :3] = Rotation.align_vectors([joint.axis], [(0.0, 0.0, 1.0)])[0].as_matrix()
-                placed = to_link @ turn
-                self._joints.append(
-                    _JointFrame(order[joint.name], _floats(placed[:3, :3]), _floats(placed[:3, 3]))
-                )
-                to_link = turn.T
-            if joint.child in inertials and self._joints:
-                mass, centre = inertials[joint.child]
-                self._joints[-1].add(mass, to_link[:3, :3] @ centre + to_link[:3, 3])
+        sliding = [joint.name for joint in description.joints() if joint.type == "prismatic"]
+        if sliding:
+            raise ValueError(f"joint {sliding[0]!r} is prismatic; the gravity model knows revolute joints")
+        chain = array_chain(description)
+        self.dof = chain.dof
+        self._joints = [
+            _JointFrame(place, _floats(rotation), _floats(offset))
+            for place, (rotation, offset) in zip(chain.columns, chain.steps, strict=True)
+        ]
+        for name, (body, (rotation, position)) in chain.links.items():
+            if body and name in inertials:
+                mass, centre = inertials[name]
+                self._joints[body - 1].add(mass, rotation @ centre + position)
 
     def torques(self, q: ArrayLike) -> NDArray[np.float64]:
         """Joint torques [Nm] (dof,) that balance gravity at joint angles `q` [rad] (dof,)."""
