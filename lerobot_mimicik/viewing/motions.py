@@ -11,7 +11,7 @@ import numpy as np
 from lerobot_mimicik.data.arm_arrays import ArmArrays, Array
 from lerobot_mimicik.data.stress.motion import everyday_motion
 from lerobot_mimicik.data.teleoperation.singularities import KINDS
-from lerobot_mimicik.evaluation.anatomy import make_ordeals
+from lerobot_mimicik.evaluation.anatomy import make_trials
 from lerobot_mimicik.evaluation.trajectories import load_trajectories
 from lerobot_mimicik.guidance.model import arm_model
 from lerobot_mimicik.guidance.search import closest_configuration
@@ -57,9 +57,9 @@ def generated_motions(description: ArmDescription, seed: int = 0) -> list[Motion
     arm = ArmArrays(description)
     motions = [_circle(description, arm)]
     if len(arm.lower) >= _FEWEST_JOINTS:
-        for ordeal in make_ordeals(description, seed):
-            name = f"{ordeal.name} singularity" if ordeal.name in KINDS else ordeal.name
-            start, targets = ordeal.trajectory.q[0], ordeal.trajectory.target
+        for trial in make_trials(description, seed):
+            name = f"{trial.name} singularity" if trial.name in KINDS else trial.name
+            start, targets = trial.trajectory.q[0], trial.trajectory.target
             motions.append(Motion(f"{name[0].upper()}{name[1:]}", start, _there_and_back(targets)))
     q = everyday_motion(arm, round(_EVERYDAY_S * FPS), FPS, np.random.default_rng(seed))
     motions.append(Motion("Everyday moves", q[0], _there_and_back(arm.pose(q))))
