@@ -133,6 +133,11 @@ def test_a_trembling_hand_is_told_from_a_steady_one():
         for pose in displaced(clean, tremor(80, 20.0, 1.0, np.random.default_rng(0)) * mm):
             gauge.update(pose if mm < 2 else pose * np.array([1, 1, 1, -1, -1, -1, -1]))
         found[mm] = gauge.tremor
+    # Within eight targets a tremor is known.
+    gauge = TremorGauge(14)
+    for pose in displaced(clean, tremor(80, 20.0, 1.0, np.random.default_rng(0)))[:8]:
+        gauge.update(pose)
+    assert 3e-4 < gauge.tremor[0] < 2e-3
     assert max(found[0.0]) < 2e-5
     assert 5e-4 < found[1.0][0] < 1.5e-3
     assert 1e-3 < found[2.0][0] < 3e-3

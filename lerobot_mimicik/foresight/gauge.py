@@ -11,10 +11,11 @@ from lerobot_mimicik.foresight.features import legendre
 
 Array = NDArray[np.float64]
 
-_ROUGH = 5
-"""Degrees of freedom of so many targets, the highest, that a tremor is measured by: with fourteen targets, those that no
-polynomial of degree eight explains, which moves a hand by 0.1 mm where a tremor of 1 mm leaves 0.9 mm."""
-_FEWEST = 10  # targets; of fewer a smooth motion cannot be told from a tremor
+_MOST_ROUGH = 4
+"""Highest orders of the last targets that a tremor is measured by: with fourteen targets, what no polynomial of degree nine
+explains. In real hands without a tremor that is 0.06 mm (median), of a tremor of 1 mm it is 1.1 mm."""
+_FEWEST = 5
+"""Targets from which the first measurement is made, by their fourth order alone: 0.05 mm without a tremor, 0.9 mm with."""
 _MEMORY = 25  # measurements, 1.2 s at 20 Hz
 _QUIETEST = 0.1
 """Of the last measurements the estimate is exceeded by all but this fraction: a hand that starts or stops is rough for
@@ -31,7 +32,10 @@ class TremorGauge:
     def __init__(self, history: int) -> None:
         """`history` targets are looked at."""
         self._history = history
-        self._bases = {n: legendre(n)[n - _ROUGH :] for n in range(min(_FEWEST, history), history + 1)}
+        # Of fewer targets fewer orders are rough: a quarter of a second of motion takes three of them.
+        self._bases = {
+            n: legendre(n)[n - min(_MOST_ROUGH, (n - 3) // 2) :] for n in range(_FEWEST, history + 1)
+        }
         self.reset()
 
     def reset(self) -> None:
