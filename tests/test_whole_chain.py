@@ -2,11 +2,20 @@
 
 import importlib
 import json
+import threading
+import time
+from concurrent import futures
 from pathlib import Path
 
+import draccus
+import grpc
 import numpy as np
 import pytest
+from lerobot.async_inference.configs import PolicyServerConfig, RobotClientConfig
+from lerobot.async_inference.policy_server import PolicyServer
+from lerobot.async_inference.robot_client import RobotClient
 from lerobot.datasets import LeRobotDataset
+from lerobot.transport import services_pb2_grpc
 from lerobot_commands import run_here
 
 from lerobot_mimicik.cli.main import main
@@ -113,3 +122,47 @@ def test_recorded_from_a_teleoperator_then_replayed(arm, tmp_path, monkeypatch):
     )  # and ended where it was told
     output = run_here("lerobot.scripts.lerobot_replay", *robot(arm), *dataset, "--dataset.episode=0", QUIET)
     assert "failed:" not in output
+
+
+@pytest.fixture(scope="module")
+def policy_server():
+    """LeRobot's policy server for asynchronous inference, in this process: it and its address."""
+    server, service = grpc.server(futures.ThreadPoolExecutor(4)), PolicyServer(PolicyServerConfig())
+    services_pb2_grpc.add_AsyncInferenceServicer_to_server(service, server)
+    address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
+    server.start()
+    yield address
+    server.stop(None)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_the_asynchronous_client_drives_it(act_for_poses, policy_server, arm):
+    options = [
+        f"--server_address={policy_server}",
+        *robot(arm),
+        "--task=follow",
+        "--policy_type=act",
+        f"--pretrained_name_or_path={act_for_poses}",
+        "--policy_device=cpu",
+        "--actions_per_chunk=10",
+        "--fps=20",
+    ]
+    client = RobotClient(draccus.parse(RobotClientConfig, args=options))
+    face = client.robot.sides[""][1]
+    assert client.start()
+    threads = [
+        threading.Thread(target=client.receive_actions, daemon=True),
+        threading.Thread(target=client.control_loop, args=("follow",), daemon=True),
+    ]
+    try:
+        for thread in threads:
+            thread.start()
+        end = time.monotonic() + 600
+        while client.latest_action < 15:  # later chunks are made of observations that follow earlier actions
+            assert time.monotonic() < end, "no second chunk of actions"
+            time.sleep(0.05)
+        assert face.result.status is not IKStatus.FAILED
+    finally:
+        client.stop()
+        for thread in threads:
+            thread.join()
