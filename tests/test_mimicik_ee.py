@@ -7,6 +7,7 @@ import draccus
 import lerobot_policy_mimicik  # noqa: F401 - registers the robots, as LeRobot's commands do
 import numpy as np
 import pytest
+from lerobot.cameras.zmq import ZMQCameraConfig
 from lerobot.robots.bi_openarm_follower import BiOpenArmFollowerConfig
 from lerobot.robots.config import RobotConfig
 from lerobot.robots.openarm_follower import OpenArmFollowerConfig, OpenArmFollowerConfigBase
@@ -174,6 +175,35 @@ def test_an_idle_arm_does_not_sag_and_a_keyboard_leads_from_the_command(faced):
     far = lead(robot, STILL)
     back = lead(robot, STILL | {"delta_x": -1.0}, 40)
     assert far["ee.x.pos"] - back["ee.x.pos"] > 0.02
+
+
+def test_cameras_of_the_robot_inside_pass_through(tmp_path):
+    camera = ZMQCameraConfig(server_address="127.0.0.1", camera_name="front", width=64, height=48, fps=30)
+    inner = MimicIKSimConfig(arm="so101", cameras={"front": camera}, calibration_dir=tmp_path)
+    robot = make_robot_from_config(MimicIKEEConfig(arm=inner, calibration_dir=tmp_path))
+    assert robot.observation_features["front"] == (48, 64, 3)
+    assert "front" not in robot.action_features
+    assert robot.cameras is robot.arm.cameras  # where LeRobot looks for them
+
+
+def test_a_gamepad_without_a_gripper_leaves_it_alone(faced):
+    robot = faced()
+    before = lead(robot, STILL)
+    after = lead(robot, {key: np.float32(value) for key, value in STILL.items() if key != "gripper"}, 5)
+    assert after["ee.gripper.pos"] == before["ee.gripper.pos"]
+
+
+def test_seven_joints_have_a_posture_to_choose(faced):
+    posture = list(describe_arm("panda").home)
+    posture[2] += 0.6  # which turns the elbow about the line from shoulder to wrist
+    q = []
+    for ik in (IKOptions(), IKOptions(posture=posture)):
+        robot = faced(MimicIKSimConfig(arm="panda", real_time=False), ik=ik, gripper=False)
+        pose = lead(robot, robot.get_observation())
+        after = lead(robot, pose, 60)
+        np.testing.assert_allclose(list(after.values()), list(pose.values()), atol=1e-3)
+        q.append(robot.arm.servos.target)
+    assert q[1][2] - q[0][2] > 0.05
 
 
 def test_steps_of_a_keyboard_can_be_recorded(faced):

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hand_recordings import hand_motion, hand_table
+from lerobot.datasets import LeRobotDataset
 from scipy.spatial.transform import Rotation
 
 from lerobot_mimicik.data.retargeting.recordings import SourceColumns, load_recordings
@@ -101,6 +102,22 @@ def test_a_lerobot_dataset_with_poses(tmp_path):
         _assert_poses(recording.pose, pose, atol=1e-6)
         assert recording.gripper is not None
         np.testing.assert_allclose(recording.gripper, grip[:, 0], atol=1e-6)
+
+
+def test_a_lerobot_dataset_with_poses_beside_joints_as_the_airbot_plugin_names_them(tmp_path):
+    pose = hand_motion(0)[1].astype(np.float32)
+    joints = [f"joint_{i}.pos" for i in range(1, 7)]
+    names = [*joints, "gripper.pos", *(f"eef.{name}" for name in ("x", "y", "z", "qx", "qy", "qz", "qw"))]
+    features = {"observation.state": {"dtype": "float32", "shape": (14,), "names": names}}
+    dataset = LeRobotDataset.create("local/eef", 20, features, root=tmp_path / "eef", use_videos=False)
+    for frame in pose:
+        state = np.concatenate([np.zeros(7, np.float32), frame])
+        dataset.add_frame({"observation.state": state, "task": "pour"})
+    dataset.save_episode()
+    dataset.finalize()
+    (recording,) = load_recordings(tmp_path / "eef")
+    _assert_poses(recording.pose, pose, atol=1e-6)
+    assert recording.gripper is not None
 
 
 @pytest.mark.parametrize(
