@@ -14,8 +14,10 @@ from torch import Tensor, nn
 from lerobot_mimicik.kinematics.rotations import relative_pose
 from lerobot_mimicik.normalisation import MinMax
 
-_FAR = 3.0
-_SURE = 0.5
+_FAR = 3.0  # how many times further than in training a target is from which on the step is shortest
+_SURE = (
+    0.5  # fraction of the largest step in training that this shortest step is: such steps are common there
+)
 _MOVED = 1e-6  # m or rad: a dimension that training never used limits nothing
 
 

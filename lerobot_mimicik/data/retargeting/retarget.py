@@ -43,11 +43,11 @@ from lerobot_mimicik.kinematics.trajectory_ik import (
 )
 
 KEPT, CHANGED, DROPPED = "kept", "changed", "dropped"
-_WAYPOINT_SPACING = 5
-_SHRINK = 0.85
+_WAYPOINT_SPACING = 5  # frames between the poses that a placement is tried on: 0.25 s at 20 Hz
+_SHRINK = 0.85  # size of the motion from one round of placements to the next
 # A solution with a joint further from home [rad] belongs to another posture, such as a wrist turned over.
 _POSTURE = 2.6
-_SLOWING_ROUNDS = 3
+_SLOWING_ROUNDS = 3  # solving anew moves the fastest frame, so that one round need not be enough
 
 
 @dataclass(frozen=True)
