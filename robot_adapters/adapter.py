@@ -7,7 +7,7 @@ target T_base_tool, upcoming ─────────────────
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,6 @@ from lerobot_mimicik.foresight.weights import is_foresight, load_weights, shippe
 from lerobot_mimicik.guidance.certificate import Reason
 from lerobot_mimicik.guidance.guided import Guidance
 from lerobot_mimicik.guidance.model import arm_model
-from lerobot_mimicik.guidance.settings import GuidanceSettings
 from lerobot_mimicik.kinematics.arms import ArmDescription, describe_arm
 from lerobot_mimicik.kinematics.plausibility import (
     joint_limits,
@@ -32,6 +31,7 @@ from lerobot_mimicik.kinematics.point_chain import point_chain
 from lerobot_mimicik.kinematics.poses import PolicyFrames, decode_pose, pose_distance
 from lerobot_mimicik.kinematics.poses import PoseFormat as PoseFormat
 from lerobot_mimicik.solvers.base import IKSolver
+from robot_adapters.adapter_settings import AdapterSettings
 from robot_adapters.arrays import float_array
 from robot_adapters.ik_result import IKResult, IKStatus
 from robot_adapters.solver_proposals import SolverProposals
@@ -44,33 +44,6 @@ _STATUS = {Reason.STEP: "limited", Reason.SMOOTHNESS: "inexact"}
 Array = NDArray[np.float64]
 
 _WEIGHTS = ["config.json", "*.safetensors"]  # what a checkpoint of the Hub is asked for
-
-
-@dataclass(frozen=True)
-class AdapterSettings(GuidanceSettings):
-    """How the adapter guides, asks and judges; weights, bounds and tolerances are those of `GuidanceSettings`.
-
-    Attributes:
-        reference: Joints that a step starts from: `commanded`, the command in force, while the arm follows
-            it within `resync` [rad]; `measured`, always what was measured, lag and noise included.
-        resync: Difference between measured and commanded joints from which the measured ones are used [rad]; an
-            arm that lags by 0.2 s is 0.4 rad behind where it moves by the largest step at every frame.
-        max_translation, max_rotation: Largest part of the way that the solver is asked for at once [m, rad]. A
-            MimicIK policy is besides never asked for more than it saw in training.
-    """
-
-    reference: str = "commanded"
-    resync: float = 0.5
-    max_translation: float = 0.05
-    max_rotation: float = 0.3
-
-    def __post_init__(self) -> None:
-        if self.reference not in ("commanded", "measured"):
-            raise ValueError(f"reference={self.reference!r}: expected 'commanded' or 'measured'")
-        super().__post_init__()
-        for name in ("resync", "max_translation", "max_rotation"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be finite and positive, got {getattr(self, name)}")
 
 
 class MimicIKAdapter:
