@@ -277,6 +277,45 @@ def test_no_command_brings_the_arm_closer_to_itself_than_allowed():
     assert len(MODEL.pairs) > 10
 
 
+def into_the_base(fraction):
+    """The tool's pose at home, moved a part of the way into the base."""
+    target = MODEL.pose(HOME)
+    target[:3] += fraction * (np.array([0.0, 0.0, 0.1]) - target[:3])
+    return target
+
+
+def test_every_frame_of_a_plan_keeps_the_gap_and_the_plan_names_the_links():
+    solver, q = guidance(), HOME
+    targets = [into_the_base(fraction) for fraction in np.linspace(0, 1, 30)]
+    named = set()
+    for t in range(22):
+        found = solver.solve(q, targets[t], np.array(targets[t + 1 : t + 8]))
+        frames = np.concatenate([q[None], found.plan])
+        gaps = np.array([MODEL.gap(frame)[0] for frame in frames])
+        assert (gaps[1:] >= np.minimum(solver.settings.collision_margin, gaps[:-1]) - 1e-9).all()
+        assert np.abs(np.diff(frames, axis=0)).max() <= 0.095 + 1e-12
+        named.add(found.kept_apart)
+        q = found.q
+    (links,) = named - {None}
+    assert set(links) <= set(MODEL.bodies)
+
+
+@pytest.mark.parametrize("ahead", [0, 7])
+def test_a_target_at_which_the_gap_is_allowed_is_met(ahead):
+    # Folded until base_link and link6 are 9 mm apart.
+    way = HOME + np.linspace(0, 1, 200)[:, None] * (
+        np.array([0.074, -0.758, -0.087, 1.999, -0.452, -1.403]) - HOME
+    )
+    folded = next(q for q in way if MODEL.gap(q)[0] < 0.009)
+    assert MODEL.gap(folded)[0] > 0.008
+    target = MODEL.pose(folded)
+    q, solver = folded, guidance()
+    for _ in range(6):
+        found = solver.solve(q, target, np.array([target] * ahead) if ahead else None)
+        q = found.q
+    assert found.certificate.position_error < 0.5e-3
+
+
 # ---- any arm ------------------------------------------------------------------------------------------------
 
 SLIDER = """<robot name="slider"><link name="b"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="l4"/>

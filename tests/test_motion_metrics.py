@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import torch
 from evaluation_cases import FPS, airbot, trajectory
 
 from lerobot_mimicik.evaluation.metrics import measure
@@ -14,6 +15,8 @@ from lerobot_mimicik.evaluation.motion_metrics import (
     frozen_frames,
     release_steps,
     return_frames,
+    seam_jerk,
+    seams,
     summarise_motion,
 )
 from lerobot_mimicik.evaluation.rollouts import Rollout
@@ -106,9 +109,37 @@ def test_the_way_back_ends_where_a_command_is_within_a_millimetre_of_the_target(
     motion, back = out_and_back()
     q = held(motion)
     q[back : back + 6, 1] += 0.07  # centimetres off, for six frames
-    assert return_frames(trace_of(motion, q)) == pytest.approx([6])
-    assert return_frames(trace_of(motion, held(motion))) == pytest.approx([0])
-    assert summarise_motion([trace_of(trajectory(30))], FPS)["return_frames"] is None
+    assert return_frames(trace_of(motion, q))[0] == pytest.approx([0, 6])
+    assert return_frames(trace_of(motion, held(motion)))[0] == pytest.approx([0, 0])
+    assert summarise_motion([trace_of(trajectory(30))], FPS)["return_frames"] == 0
+
+
+@pytest.mark.parametrize("wait", [0, 3])
+def test_after_a_jump_frames_count_and_those_that_the_step_bound_takes_are_not_late(wait):
+    motion = trajectory(40, speed=0.0)
+    q = np.tile(HOME, (40, 1))
+    q[20:, 0] += 0.45  # the hand takes hold elsewhere
+    motion = dataclasses.replace(motion, q=q, target=airbot().forward(torch.from_numpy(q)).numpy())
+    motion.target[19] = motion.target[20]
+    way = np.clip((np.arange(40) - 18 - wait) * 0.1, 0.0, 0.45)
+    frames, late = return_frames(trace_of(motion, HOME + way[:, None] * np.eye(6)[0]))
+    assert frames == pytest.approx([0, 4 + wait])
+    assert late == pytest.approx([0, wait])
+
+
+def test_the_jerk_at_a_seam_is_told_in_multiples_of_the_motions_own():
+    t = np.arange(60)[:, None] / 20
+    q = HOME + 0.01 * t**3
+    clean = airbot().forward(torch.from_numpy(q)).numpy()
+    target = clean.copy()
+    target[30:, 0] += 0.005
+    motion = dataclasses.replace(trajectory(60), q=q, target=target, clean=clean)
+    assert seams(target, clean) == pytest.approx([30])
+    assert seam_jerk([trace_of(motion, q)]) == pytest.approx(1.0)
+    stepped = q + np.where(np.arange(60)[:, None] >= 30, 1, 0) * np.diff(q, n=3, axis=0).max() * np.eye(6)[1]
+    assert seam_jerk([trace_of(motion, stepped)]) == pytest.approx(2.0)
+    trembling = clean + 0.002 * np.random.default_rng(0).normal(size=clean.shape)
+    assert seam_jerk([trace_of(dataclasses.replace(motion, target=trembling), q)]) is None
 
 
 def test_self_collision_is_as_deep_as_the_spheres_and_absent_without_shapes():

@@ -4,7 +4,11 @@
 - *frozen*: percent of all frames in which no commanded joint moved by more than `STILL_RAD` while a target in
   reach moved by more than `MOVED_MM` or `MOVED_DEG`.
 - *release step*: largest joint step within `RELEASE_S` of a target's return into reach, rad.
-- *return*: most frames from a target's return into reach until the command is within `BACK_MM` of it.
+- *return*: most frames until the command is within `BACK_MM` of a target that has returned into reach, has jumped
+  (the recorded joints moved by more than a step allows, as where a hand takes hold again), or is a recording's first.
+- *late*: most of these frames that a straight way at the largest step that the solver made would have saved.
+- *seam jerk*: largest third difference of the commands within `SEAM_FRAMES` of a seam between chunks, where what a
+  stress set adds to its clean target jumps, as a multiple of the recorded joints' own; 95th percentile over the seams.
 - *lag*: the shift, ms, at which the velocity of the commanded tool matches that of the clean target best, by
   normalised cross-correlation within `LAG_FRAMES` frames, over all recordings; a parabola finds parts of a frame.
 - *clean error*: as the position error, against the target without what a stress set added to it.
@@ -20,8 +24,9 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lerobot_mimicik.evaluation.metrics import Trace, jerk_of, pose_cost
+from lerobot_mimicik.evaluation.metrics import JOINT_SPIKE_RAD, Trace, jerk_of, pose_cost
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.collision import ArmCollision
 from lerobot_mimicik.solvers.base import Array
@@ -30,12 +35,14 @@ STILL_RAD = 1e-6  # rounding
 MOVED_MM, MOVED_DEG = 0.1, 0.05  # per frame: more than the noise of a pose in float32
 RELEASE_S = 0.5
 BACK_MM = 1.0
+SEAM_FRAMES = 4
+SEAM_MM, EVEN_MM = 1.0, 0.01  # a jump of the offset at a seam, and what it changes by elsewhere: rounding
 LAG_FRAMES = 10
 RESAMPLES = 1000
 
 MOTION_KEYS = (
-    "jerk_rms", "frozen", "release_step", "return_frames", "lag_ms", "clean_mean_mm", "clean_p95_mm", "clean_max_mm",
-    "unavoidable_mm", "excess_percent",
+    "jerk_rms", "frozen", "release_step", "return_frames", "late_frames", "seam_jerk", "lag_ms", "clean_mean_mm",
+    "clean_p95_mm", "clean_max_mm", "unavoidable_mm", "excess_percent",
 )  # fmt: skip
 
 
@@ -48,7 +55,9 @@ def summarise_motion(traces: Sequence[Trace], fps: float) -> dict[str, float | N
         "jerk_rms": _root_mean([_jerk_squares(trace, fps) for trace in traces]),
         "frozen": 100.0 * float(np.concatenate([frozen_frames(trace) for trace in traces]).mean()),
         "release_step": _largest([release_steps(trace, fps) for trace in traces]),
-        "return_frames": _largest([return_frames(trace) for trace in traces]),
+        "return_frames": _largest([return_frames(trace)[0] for trace in traces]),
+        "late_frames": _largest([return_frames(trace)[1] for trace in traces]),
+        "seam_jerk": seam_jerk(traces),
         "lag_ms": lag_ms(traces, fps),
         "clean_mean_mm": float(errors.mean()) if errors.size else None,
         "clean_p95_mm": float(np.percentile(errors, 95)) if errors.size else None,
@@ -82,19 +91,55 @@ def release_steps(trace: Trace, fps: float) -> Array:
     return np.array([trace.max_dq[frame : frame + window].max() for frame in returns])
 
 
-def return_frames(trace: Trace) -> Array:
-    """Frames from each return of the target into reach until a command meets it to `BACK_MM`, (n,).
+def return_frames(trace: Trace) -> tuple[Array, Array]:
+    """Frames from each start, return into reach and jump of the target until a command meets it to `BACK_MM`, (n,).
 
-    0: the first command does. Where none does before the target leaves again, all frames that it was in reach count.
+    0: the first command does. Where none does before the next of them, or the target leaves again, all frames until then
+    count.
+
+    Returns:
+        The frames, and how many of them a straight way would have saved at the largest step that was made.
     """
-    inside = trace.in_reach
-    edges = [*(np.flatnonzero(inside[1:] != inside[:-1]) + 1), len(inside)]
-    frames = []
+    inside, rollout = trace.in_reach, trace.rollout
+    came = inside & ~np.concatenate([[False], inside[:-1]])
+    q = rollout.trajectory.q
+    came[:-1] |= inside[:-1] & (np.abs(np.diff(q, axis=0)).max(axis=1) > JOINT_SPIKE_RAD)
+    left = ~inside & np.concatenate([[False], inside[:-1]])
+    edges = [*np.flatnonzero(came | left), len(inside)]
+    step = np.nanmax(np.append(trace.max_dq, STILL_RAD))
+    frames, late = [], []
     for begin, end in pairwise(edges):
         if inside[begin]:
             met = np.flatnonzero(trace.position_mm[begin:end] <= BACK_MM)
-            frames.append(met[0] if met.size else end - begin)
-    return np.array(frames, dtype=float)
+            number = met[0] if met.size else end - begin
+            way = np.abs(rollout.q_cmd[begin + number] - rollout.q_curr[begin]).max() if met.size else 0.0
+            frames.append(number)
+            late.append(max(0.0, number + 1 - max(1.0, np.ceil(way / step - 1e-6))))
+    return np.array(frames, dtype=float), np.array(late, dtype=float)
+
+
+def seam_jerk(traces: Sequence[Trace]) -> float | None:
+    """95th percentile over all seams; see above. None where there are no seams."""
+    peaks, own = [], []
+    for trace in traces:
+        motion, commands = trace.rollout.trajectory, trace.rollout.q_cmd
+        if motion.clean is None or len(commands) < SEAM_FRAMES:
+            continue
+        jerk = jerk_of(commands).max(axis=1)  # row k is about frames k to k + 3
+        own.append(jerk_of(motion.q).max())
+        for seam in seams(motion.target, motion.clean):
+            near = jerk[max(0, seam - SEAM_FRAMES - 3) : seam + SEAM_FRAMES + 1]
+            if near.size:
+                peaks.append(near.max())
+    if not peaks or not max(own) > 0:
+        return None
+    return float(np.percentile(peaks, 95) / max(own))
+
+
+def seams(target: Array, clean: Array) -> NDArray[np.int64]:
+    """Frames (n,) at which a target's offset (T, 7) from the clean one jumps, and rests before and after."""
+    jumps = 1e3 * np.linalg.norm(np.diff((target - clean)[:, :3], axis=0), axis=1)
+    return np.flatnonzero((jumps[1:-1] > SEAM_MM) & (jumps[:-2] < EVEN_MM) & (jumps[2:] < EVEN_MM)) + 2
 
 
 def lag_ms(traces: Sequence[Trace], fps: float) -> float | None:

@@ -38,3 +38,13 @@ def turned(start: Array, end: Array) -> Array:
     sine, cosine = (-sine, -cosine) if cosine < 0 else (sine, cosine)
     size = float(np.linalg.norm(sine))
     return 2.0 * sine if size < 1e-9 else sine * (2.0 * np.arctan2(size, cosine) / size)
+
+
+def turned_by(rotation: Array, turn: Array) -> Array:
+    """A unit quaternion (4,), w >= 0, turned by a rotation vector (3,) [rad] in the base frame."""
+    angle = float(np.linalg.norm(turn))
+    vector = turn * (0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle)
+    w = np.cos(0.5 * angle)
+    found = np.array([*(w * rotation[:3] + rotation[3] * vector + np.cross(vector, rotation[:3])), 0.0])
+    found[3] = w * rotation[3] - vector @ rotation[:3]
+    return found if found[3] >= 0 else -found

@@ -19,6 +19,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_mimicik.guidance.blending import Blending
 from lerobot_mimicik.guidance.branches import BranchChange
 from lerobot_mimicik.guidance.certificate import (
     Certificate,
@@ -72,6 +73,8 @@ class Solution:
         cost: The shared cost of the plan.
         trust: Fraction of the prior's weight that it earned in this frame.
         changing: Whether the arm is on the way to another branch.
+        kept_apart: The two links that would come closer than allowed in some frame of the plan, which was therefore
+            changed; None where there are none.
     """
 
     q: Array
@@ -80,6 +83,7 @@ class Solution:
     cost: float
     trust: float
     changing: bool
+    kept_apart: tuple[str, str] | None = None
 
 
 class Guidance:
@@ -117,6 +121,7 @@ class Guidance:
             given.branch_detour,
             given.collision_margin,
         )
+        self._blending = Blending(given.blend, model.lever, model.reach)
         self._past: Array | None = None
         self._plan: Array | None = None
         self._turning = 1.0  # fraction of its weight that the orientation has, where the position comes first
@@ -126,6 +131,7 @@ class Guidance:
         self._past = np.stack([np.asarray(q, dtype=float)] * 3)
         self._plan, self._turning = None, 1.0
         self._branch.cancel()
+        self._blending.reset()
         if self.foresight is not None:
             self.foresight.reset(self._past[2])
 
@@ -151,22 +157,24 @@ class Guidance:
             prior: Proposes joints for the target; trusted as far as it earns it.
         """
         past = self._remember(start)
+        targets = target[None]
+        if upcoming is not None and len(upcoming):
+            targets = np.concatenate([targets, upcoming[: self.settings.horizon - 1]])
+        targets = self._blending(targets)
         goal = self._branch.follow(target)
         if goal is not None:
             return self._on_the_way(past, goal, target)
-        aim = target
-        if self.foresight is not None and (upcoming is None or not len(upcoming)):
-            aim = steadied(self.foresight, self.model, self.settings, past[2], target)
-        targets = aim[None]
-        if upcoming is not None and len(upcoming):
-            targets = np.concatenate([targets, upcoming[: self.settings.horizon - 1]])
+        if self.foresight is not None and len(targets) == 1:
+            targets = steadied(self.foresight, self.model, self.settings, past[2], targets[0])[None]
+        aim = targets[0]
         rotations, positions = split_poses(targets)
         if self.served.position_first:
             rotations = within_leash(self.model, past[2], rotations)
         proposed, trust = self._trusted(past[2], aim, prior)
         plan, cost = self._planned(past, rotations, positions, proposed, trust, aim)
+        kept = self._plan_kept_clear(past[2], plan)
         self._plan = plan if len(targets) > 1 else None
-        q = self._kept_clear(past[2], plan[0])
+        q = plan[0]
         source = "prior" if trust > 0.5 else "guided"
         certificate = self._certify(past[2], q, target, source)
         if (
@@ -178,7 +186,7 @@ class Guidance:
             goal = self._branch.look(past[2], closest, target, upcoming)
             if goal is not None:
                 return self._on_the_way(past, goal, target)
-        return self._remembered(past, Solution(q, certificate, plan, cost, trust, False))
+        return self._remembered(past, Solution(q, certificate, plan, cost, trust, False, kept))
 
     def _planned(
         self, past: Array, rotations: Array, positions: Array, proposed: Array, trust: float, target: Array
@@ -225,6 +233,22 @@ class Guidance:
         return proposed[0], (1.0 - left / (_PROGRESS * way)) / (1.0 + (left / _TRUSTED_M) ** 2)
 
     # ---- collision ----------------------------------------------------------------------------------------------
+
+    def _plan_kept_clear(self, start: Array, plan: Array) -> tuple[str, str] | None:
+        """Change the frames (T, dof) so that each keeps clear, and a step from the one before; the links in the way."""
+        links = None
+        model = self.model
+        if not len(model.pairs):
+            return None
+        for t, planned in enumerate(plan):
+            before = plan[t - 1] if t else start
+            if links is not None:
+                keep_bounds(plan[t : t + 1], before, model.lower, model.upper, self._step)
+            kept = self._kept_clear(before, planned)
+            if kept is not planned:
+                links = links or model.pair_names(model.gap(planned)[1])
+                plan[t] = kept
+        return links
 
     def _kept_clear(self, start: Array, q: Array) -> Array:
         """The command, or the furthest point on the way to it that keeps the gap between the arm's own bodies.

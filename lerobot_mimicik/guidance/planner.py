@@ -39,6 +39,9 @@ _HELD = 1e-6
 conditioned, and all of it where the arm is stretched."""
 
 
+_CLOSE, _STEEP = 0.2, 0.4
+"""The zone in which bodies push each other apart in the second pass, and how fast that rises, as fractions of the
+first pass's: a target that the margin allows is met."""
 _APART = 0.1
 """Fraction of the weight of keeping bodies apart in the third pass; the gap itself is guarded afterwards."""
 _FAR_APART = 0.06
@@ -94,6 +97,8 @@ class Planner:
         self._step = np.full(n, given.max_step)
         span = max(given.collision_zone - given.collision_margin, 1e-6)
         self._zone = np.array([given.collision_zone, span])
+        # What the first pass keeps away from without need, the second may use, up to close before the margin.
+        self._exact_zone = np.array([given.collision_margin + _CLOSE * span, _STEEP * span])
         self._posture = np.array(given.posture_joints) if given.posture_joints else model.comfortable()
         if len(self._posture) != n:
             names = ", ".join(model.description.joint_names)
@@ -130,7 +135,9 @@ class Planner:
             x, past, rotation, position, weights, proposed[None], np.array([trust * self._prior]), task=task
         )
         pull = np.array([self._exactness])
-        self._descend(x, past, rotation, position, self._one_exact, x.copy(), pull, task=task)
+        self._descend(
+            x, past, rotation, position, self._one_exact, x.copy(), pull, task=task, zone=self._exact_zone
+        )
         self._place(x, past, rotation, position)
         return x, cost
 
@@ -187,7 +194,9 @@ class Planner:
     ) -> tuple[Array, float]:
         """The second pass over a plan of a known cost."""
         pull = np.full(len(x), self._ahead_exactness)
-        self._descend(x, past, rotations, positions, self._ahead_exact, x.copy(), pull, task=task)
+        self._descend(
+            x, past, rotations, positions, self._ahead_exact, x.copy(), pull, task=task, zone=self._exact_zone
+        )
         self._place(x, past, rotations, positions)
         return x, cost
 
@@ -196,7 +205,17 @@ class Planner:
         if self._position is None:
             return
         pull = np.full(len(x), self._held)
-        self._descend(x, past, rotations, positions, self._placing, x.copy(), pull, task=self._position)
+        self._descend(
+            x,
+            past,
+            rotations,
+            positions,
+            self._placing,
+            x.copy(),
+            pull,
+            task=self._position,
+            zone=self._exact_zone,
+        )
 
     def _eased(self, weights: Array, turning: float) -> tuple[Array, KernelTask]:
         """Weights and task, copies, with the orientation at a fraction of its weight."""
@@ -233,7 +252,14 @@ class Planner:
         goal = (rotations, positions, task)
         weights[:JERK] *= 1.0 - trust * (kept == 0)
         first = (weights, self._posture, heard, listen, self._zone, NO_EXTRA)
-        second = (self._one_exact, self._posture, heard, np.array([self._exactness]), self._zone, NO_EXTRA)
+        second = (
+            self._one_exact,
+            self._posture,
+            heard,
+            np.array([self._exactness]),
+            self._exact_zone,
+            NO_EXTRA,
+        )
         one_after_the_other(
             x, kept, past, self._step, self.model.arrays, goal, first, second, self._bounds, self.settings.iterations,
             _DAMPING, _GAIN,
@@ -251,6 +277,7 @@ class Planner:
         prior_weight: Array,
         iterations: int | None = None,
         task: KernelTask | None = None,
+        zone: Array | None = None,
     ) -> float:
         """Improve the frames `x` (T, dof) in place; their cost."""
         most = self.settings.iterations if iterations is None else iterations
@@ -260,7 +287,7 @@ class Planner:
         model = self.model
 
         def improve(extra: Quadratic) -> tuple[float, Array]:
-            costs = (weights, self._posture, prior, prior_weight, self._zone, extra)
+            costs = (weights, self._posture, prior, prior_weight, self._zone if zone is None else zone, extra)
             goal = (rotations, positions, task or self._task)
             cost, residuals, _ = descend(
                 x, past, past[2], self._step, model.arrays, goal, costs, self._bounds, most, _DAMPING,

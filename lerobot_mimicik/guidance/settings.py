@@ -18,7 +18,7 @@ _AXES = ("x", "y", "z", "-x", "-y", "-z")
 ORIENTATIONS = ("auto", "full", "ranged", "axis", "position")
 """How the orientation of a target counts; see `GuidanceSettings`."""
 # What a damaged checkpoint may ask for at most: arms need a few iterations, policies answer with 100 frames or so.
-_MOST = {"iterations": 100, "horizon": 1000}
+_MOST = {"iterations": 100, "horizon": 1000, "blend": 1000}
 
 
 def named_axis(axis: str | tuple[float, ...]) -> tuple[float, ...]:
@@ -108,6 +108,7 @@ class GuidanceSettings:
         ahead_exactness: Weight of its second pass.
         smoothness: Multiplies `ahead_jerk`.
         horizon: Most frames that are planned at once.
+        blend: Frames over which a jump between two chunks of targets is spread where the next ones are known; 0: none.
         posture: Weight of the pull to a posture, for arms with joints to spare; 0 on arms of up to six.
         prior: Weight of a trusted prior.
         foresight_radius, foresight_angle: How far a target may be moved towards what a learned prior foresees [m, rad].
@@ -140,6 +141,7 @@ class GuidanceSettings:
     ahead_exactness: float = 5e-4
     smoothness: float = 1.0
     horizon: int = 8
+    blend: int = 8
     posture: float = 1e-5
     prior: float = 1e-3
     foresight_radius: float = 0.0015

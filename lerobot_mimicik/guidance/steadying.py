@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_mimicik.guidance.approach import turned
+from lerobot_mimicik.guidance.approach import turned, turned_by
 from lerobot_mimicik.guidance.model import ArmModel
 from lerobot_mimicik.guidance.settings import GuidanceSettings
 
@@ -54,17 +54,7 @@ def steadied(
     turn = turned(target[3:], pose[3:])
     shift *= _share(shift, foresight.tremor[0], settings.foresight_radius, settings.foresight_gain)
     turn *= _share(turn, foresight.tremor[1], settings.foresight_angle, settings.foresight_gain)
-    return np.concatenate([target[:3] + shift, _turned_by(target[3:], turn)])
-
-
-def _turned_by(rotation: Array, turn: Array) -> Array:
-    """A unit quaternion (4,), w >= 0, turned by a rotation vector (3,) [rad] in the base frame."""
-    angle = float(np.linalg.norm(turn))
-    vector = turn * (0.5 if angle < 1e-9 else np.sin(0.5 * angle) / angle)
-    w = np.cos(0.5 * angle)
-    found = np.array([*(w * rotation[:3] + rotation[3] * vector + np.cross(vector, rotation[:3])), 0.0])
-    found[3] = w * rotation[3] - vector @ rotation[:3]
-    return found if found[3] >= 0 else -found
+    return np.concatenate([target[:3] + shift, turned_by(target[3:], turn)])
 
 
 def _share(way: Array, tremor: float, most: float, gain: float) -> float:
