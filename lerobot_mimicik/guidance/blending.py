@@ -6,9 +6,11 @@ the arm goes on along the new chunk. Where the seam is known ahead, half of the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from lerobot_mimicik.guidance.approach import turned_by
@@ -41,8 +43,7 @@ class Blending:
             lever: Metres that one radian counts as [m/rad].
             reach: Of the arm [m].
         """
-        self._frames, self._reach = frames, reach
-        self._scale = np.repeat([1.0, lever], 3)
+        self._frames, self._lever, self._reach = frames, lever, reach
         self._past: list[Array] = []
         self._seams: list[_Seam] = []
 
@@ -89,30 +90,54 @@ class Blending:
     def _jumps(self, targets: Array) -> dict[int, Array]:
         """Frames at which the targets jump, and by how much (6,): steps that their neighbours do not explain."""
         poses = np.array([*self._past, *targets])
+        here = len(self._past)
         if len(poses) < 4:
             return {}
-        steps = _ways(poses)
-        # Entry i is about step i + 1, which leads to pose i + 2; constant acceleration leaves nothing.
-        odd = steps[1:-1] - 0.5 * (steps[:-2] + steps[2:])
-        sizes = np.linalg.norm(odd * self._scale, axis=1)
-        here = len(self._past)
-        jumps: dict[int, Array] = {}
-        for i in range(max(0, here - 2), len(odd)):
-            nearby = max([sizes[k] for k in (i - 2, i + 2) if 0 <= k < len(sizes)], default=0.0)
-            if _SMALLEST * self._reach + _STANDS_OUT * nearby < sizes[i] < _LARGEST * self._reach:
-                jumps[i + 2 - here] = odd[i]
-        return jumps
+        odd, jumps = _uneven(poses, self._lever, _SMALLEST * self._reach, _LARGEST * self._reach)
+        # Row i is about the step to pose i + 2.
+        return {i + 2 - here: odd[i] for i in np.flatnonzero(jumps).tolist() if i >= here - 2}
 
 
-def _ways(poses: Array) -> Array:
+@njit(cache=True, error_model="numpy")
+def _ways(poses):
     """The ways (T - 1, 6) [m, rad] from each pose of (T, 7) to the next, the short way round."""
-    start, end = poses[:-1, 3:], poses[1:, 3:]
-    sine = start[:, 3:] * end[:, :3] - end[:, 3:] * start[:, :3] - np.cross(end[:, :3], start[:, :3])
-    cosine = (start * end).sum(axis=1)
-    size = np.linalg.norm(sine, axis=1)
-    angle = 2 * np.arctan2(size, np.abs(cosine)) * np.where(cosine < 0, -1.0, 1.0)
-    turns = sine * (angle / np.maximum(size, 1e-12))[:, None]
-    return np.concatenate([np.diff(poses[:, :3], axis=0), turns], axis=1)
+    ways = np.empty((len(poses) - 1, 6))
+    for t in range(len(ways)):
+        a, b = poses[t], poses[t + 1]
+        cosine = a[3] * b[3] + a[4] * b[4] + a[5] * b[5] + a[6] * b[6]
+        sign = -1.0 if cosine < 0 else 1.0
+        square = 0.0
+        for k in range(3):
+            i, j = 3 + (k + 1) % 3, 3 + (k + 2) % 3
+            sine = sign * (a[6] * b[3 + k] - b[6] * a[3 + k] - (b[i] * a[j] - b[j] * a[i]))
+            ways[t, k], ways[t, 3 + k] = b[k] - a[k], sine
+            square += sine * sine
+        size = math.sqrt(square)
+        ways[t, 3:] *= 2.0 if size < 1e-9 else 2.0 * math.atan2(size, sign * cosine) / size
+    return ways
+
+
+@njit(cache=True, error_model="numpy")
+def _uneven(poses, lever, smallest, largest):
+    """Of each step but the first and last, what its neighbours do not explain (T - 3, 6), and whether it is a jump."""
+    steps = _ways(poses)
+    # Constant acceleration leaves nothing.
+    odd = steps[1:-1] - 0.5 * (steps[:-2] + steps[2:])
+    count = len(odd)
+    sizes, jumps = np.empty(count), np.zeros(count, dtype=np.bool_)
+    for i in range(count):
+        square = 0.0
+        for k in range(3):
+            square += odd[i, k] ** 2 + (lever * odd[i, 3 + k]) ** 2
+        sizes[i] = math.sqrt(square)
+    for i in range(count):
+        nearby = 0.0
+        if i >= 2:
+            nearby = sizes[i - 2]
+        if i + 2 < count:
+            nearby = max(nearby, sizes[i + 2])
+        jumps[i] = smallest + _STANDS_OUT * nearby < sizes[i] < largest
+    return odd, jumps
 
 
 def _displaced(pose: Array, twist: Array) -> Array:
