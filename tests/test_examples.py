@@ -9,6 +9,7 @@ from types import ModuleType
 import pytest
 
 from robot_adapters.adapter import IKStatus
+from robot_adapters.wrapping import wrap_checkpoint
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples"
 
@@ -53,6 +54,14 @@ def test_recordings_through_lerobots_replay_are_met_within_a_step(example):
 def test_a_small_computers_adapter_follows_a_circle(example):
     # Into an empty environment it is installed in test_wheel.py.
     assert set(example("small_computer").main("airbot_play", frames=20)) == {IKStatus.REACHED}
+
+
+def test_a_policys_chunks_drive_the_arm_more_smoothly_where_they_are_foreseen(example, act_run, tmp_path):
+    pytest.importorskip("mujoco")
+    wrapped = wrap_checkpoint(str(act_run), None, tmp_path / "act_ee")
+    alone, foreseen = example("rollout_look_ahead").main(wrapped, seconds=4.0).values()
+    assert foreseen["commanded"] < alone["commanded"]
+    assert foreseen["measured"] < 1.1 * alone["measured"]
 
 
 def test_every_example_is_tested():

@@ -63,7 +63,7 @@ class Blending:
         self._past = [*self._past, targets[0]][-_PAST:]
         if not self._seams:
             return targets
-        offsets = sum(self._offsets(seam, np.arange(len(targets))) for seam in self._seams)
+        offsets = np.sum([self._offsets(seam, np.arange(len(targets))) for seam in self._seams], axis=0)
         return np.array([_displaced(pose, offset) for pose, offset in zip(targets, offsets, strict=True)])
 
     def _offsets(self, seam: _Seam, frames: NDArray[np.int64]) -> Array:
