@@ -31,7 +31,7 @@ def test_the_demo_leaves_data_checkpoint_report_and_page(made):
     rows = json.loads((output / "eval" / "report.json").read_text())["rows"]
     assert {(row["solver"], row["mode"], row["dataset"]) for row in rows} == {
         (solver, mode, dataset)
-        for solver in ("mimicik", "hold")
+        for solver in ("mimicik", "guided", "hold")
         for mode in ("open_loop", "closed_loop")
         for dataset in ("test", "ood")
     }
@@ -39,6 +39,8 @@ def test_the_demo_leaves_data_checkpoint_report_and_page(made):
     page = (output / "report.html").read_text()
     assert page.count("data:image/png;base64,") == len(list((output / "figures").glob("*.png"))) >= 4
     assert "synthetic" in page
+    # The first thing to see is the arm in motion.
+    assert page.index("data:image/gif;base64,") < page.index("data:image/png;base64,")
     curves = training_process.read_curves(output / "logs", log_freq=1)
     assert curves["loss"].steps == [1, 2, 3, 4, 5, 6]
     assert list(outputs.strangers(output)) == []  # so that --overwrite can replace it

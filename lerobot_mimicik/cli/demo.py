@@ -25,6 +25,8 @@ from lerobot_mimicik.evaluation import training_process
 
 HELP = "Go the whole way: make a dataset, train a policy on it, measure it, write a report with figures."
 
+# What a demo measures: the policy alone, the guided solver without it, and holding still.
+SOLVERS = "mimicik,guided,hold"
 _STATE = "demo.json"
 _NEW_EACH_TIME = ("output", "resume", "overwrite", "workers", "device", "picture")
 # Enough to see over-fitting in the training curves, little enough to cost seconds.
@@ -135,6 +137,7 @@ def run(config: DemoConfig) -> Path:
         policy=PolicySource(str(output / "train")),
         dataset=DatasetSource(f"{data.test},{data.ood}"),
         output=str(output / "eval"),
+        solvers=SOLVERS,
         seed=config.seed,
         device=config.device,
     )
@@ -145,7 +148,7 @@ def run(config: DemoConfig) -> Path:
     curves = training_process.read_curves(output / "logs", log_freq)
     eval_command = (
         f"mimicik eval --policy.path={output / 'train'} --dataset.root={data.test},{data.ood} "
-        f"--output={output / 'eval'}"
+        f"--output={output / 'eval'} --solvers={SOLVERS}"
     )
     return write_demo_report(
         output,

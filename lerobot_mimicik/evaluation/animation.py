@@ -34,6 +34,7 @@ _SHADE = 0.35  # how much darker what is far away is
 _EVERY = 2  # frames of the motion per frame of the picture
 _BEFORE_S, _AFTER_S, _HOLD_S = 2.5, 2.5, 1.0  # shown before and after the singularity; the last frame stays
 _PALETTE = 32
+_NEARLY_WHITE = 244  # of 255
 _ELEVATION = np.radians(18.0)
 _SIDE = np.radians(-62.0)  # from where the arm is seen, against the direction that it reaches in
 _NEEDLE = 0.17  # of the reach: a hand on a joint that turns much, so that its turning is seen
@@ -97,6 +98,10 @@ def animate(shown: SideBySide, frames: int | None = None) -> Animation:
         # A copy: the canvas goes on to the next frame.
         pictures.append(Image.fromarray(np.array(canvas.buffer_rgba())[..., :3]))
     palette = pictures[len(pictures) // 2].quantize(_PALETTE)
+    # The paper is white, not the mean of what is nearly so.
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[colours.min(axis=1) > _NEARLY_WHITE] = 255
+    palette.putpalette(colours.ravel().tolist())
     pictures = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures]
     file = io.BytesIO()
     step_ms = round(1e3 * _EVERY / FPS)

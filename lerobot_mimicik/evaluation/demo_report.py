@@ -53,12 +53,12 @@ def write_demo_report(
         source: "synthetic" or "ee".
         train_root: The training dataset.
         data_summary: What was said when the data were made.
-        evaluations: Of the policy and of holding still, on the test set and then on the near-singular one.
+        evaluations: Of the policy, the guided solver and holding still, on the test set and then on the near-singular one.
         curves: Training curves.
         steps: Training steps.
         commands: Command lines that repeat training and evaluation.
     """
-    policy = [one for one in evaluations if one.row["solver"] != "hold"]
+    policy = [one for one in evaluations if one.row["solver"] not in ("guided", "hold")]
     test, ood = (
         [one for one in policy if one.recording is recording]
         for recording in dict.fromkeys(one.recording for one in policy)
@@ -139,7 +139,8 @@ def _rows_note(evaluations: Sequence[Evaluation]) -> str:
     parts = [f"{_mm(row['mean_mm'])} on {row['dataset']}" for row in open_hold]
     return (
         "test: sessions kept aside. ood: near-singular trajectories. Open loop: recorded joints in at every "
-        "frame. Closed loop: every command is the next measurement. hold: the arm stays where it is; in open "
+        "frame. Closed loop: every command is the next measurement. guided: the solver that drives an arm, here without "
+        "the policy. hold: the arm stays where it is; in open "
         f"loop its error is the distance between the arm and its target: {' and '.join(parts)}. That is what "
         "the data alone give."
     )

@@ -75,6 +75,8 @@ def plot_error_distribution(evaluations: Sequence[Evaluation]) -> Plot:
     figure = new_figure(0.7 + 1.7 * len(modes) + 0.17 * math.ceil(len(evaluations) / len(modes) / 2))
     panels = np.atleast_1d(figure.subplots(len(modes), 1, sharex=True))
     sentences = []
+    solvers = [name for name in _unique(one.row["solver"] for one in evaluations) if name != "hold"]
+    styles = {name: ("-", "--", "-.")[number % 3] for number, name in enumerate(solvers)} | {"hold": ":"}
     for panel, mode in zip(panels, modes, strict=True):
         for one in evaluations:
             if one.row["mode"] != mode:
@@ -87,7 +89,7 @@ def plot_error_distribution(evaluations: Sequence[Evaluation]) -> Plot:
                     np.maximum(found, 1e-3),
                     100 * np.arange(1, found.size + 1) / error.size,
                     color=COLOURS[datasets.index(one.row["dataset"]) % len(COLOURS)],
-                    linestyle=":" if held else "-",
+                    linestyle=styles[one.row["solver"]],
                     label=f"{one.row['solver']}, {one.row['dataset']}",
                 )
             if not held:

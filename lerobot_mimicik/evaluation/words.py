@@ -35,18 +35,17 @@ def describe_rows(rows: Rows) -> list[str]:
         if not solvers:
             continue
         exact = min(solvers, key=lambda row: row[error_key(row)])
-        sentence = (
-            f"{title}: {exact['solver']} is the most exact, {_number(exact[error_key(exact)])} mm on average"
-        )
+        alone = len(solvers) == 1
+        sentence = f"{title}: {exact['solver']} is {'' if alone else 'the most exact, '}"
+        sentence += f"{_number(exact[error_key(exact)])} mm {'off ' if alone else ''}on average"
         sentence += " against the clean target" if error_key(exact) == "clean_mean_mm" else ""
         # A solver that fails is smooth for the wrong reason.
         sound = [row for row in solvers if not _failures(row)]
         if sound:
             smooth = min(sound, key=lambda row: row["jerk_rms"])
-            sentence += (
-                f"; {'it' if smooth is exact else smooth['solver']} is the smoothest without a failure, "
-                f"jerk {_number(smooth['jerk_rms'])} rad/s³"
-            )
+            who = "it" if smooth is exact else smooth["solver"]
+            sentence += "; its" if alone else f"; {who} is the smoothest without a failure,"
+            sentence += f" jerk {'is ' if alone else ''}{_number(smooth['jerk_rms'])} rad/s³"
         bad = [f"{row['solver']} {_failures(row)}" for row in solvers if _failures(row)]
         sentence += f"; recordings that failed: {', '.join(bad)}" if bad else ""
         sentences.append(sentence + ".")
