@@ -54,6 +54,7 @@ class PlayPage:
         self.session = session
         self._waiting: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._arms: dict[str, DrawnArm] = {}
+        self._colours: dict[str, Colour] = {}
         self._frames = 0
         with contextlib.redirect_stdout(io.StringIO()):  # its banner: the command has its own words
             self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
@@ -204,7 +205,8 @@ class PlayPage:
             arm.forget()
 
     def _colour(self, name: str) -> Colour:
-        return COLOURS[self.session.offered.index(name) % len(COLOURS)]
+        # In the order in which they are first chosen, so that few solvers never share one.
+        return self._colours.setdefault(name, COLOURS[len(self._colours) % len(COLOURS)])
 
     # ---- numbers ----------------------------------------------------------------------------------------------------
 
