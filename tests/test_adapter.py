@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from lerobot_mimicik.guidance.certificate import Reason
 from lerobot_mimicik.kinematics.arms import describe_arm
 from lerobot_mimicik.kinematics.chain import SerialArm
 from lerobot_mimicik.kinematics.poses import PoseFormat, encode_pose
@@ -92,6 +93,19 @@ def test_a_target_out_of_reach_is_said_so_and_the_arm_stays_at_the_edge(name):
     assert results[-1].step < 1e-3  # at rest, no chatter
     assert results[-1].position_error < results[0].position_error - 0.2
     assert ((q >= adapter.lower - 1e-9) & (q <= adapter.upper + 1e-9)).all()
+
+
+def test_where_its_own_body_keeps_the_arm_off_a_target_the_bodies_are_named():
+    adapter = MimicIKAdapter.for_arm("airbot_play")
+    q = np.array([1.64, -2.7, 0.5, -0.08, 0.08, 1.45])
+    target = adapter.forward([1.58, -2.97, 0.35, 0.41, 0.33, 1.07])
+    for _ in range(60):
+        result = adapter.solve(q, target)
+        q = result.q
+    assert result.step < 1e-3
+    assert (result.status, result.certificate.reason) == (IKStatus.UNREACHABLE, Reason.COLLISION)
+    assert result.certificate.bodies == ("base_link", "link2")
+    assert f"{result.position_error * 1e3:.1f} mm" in result.message
 
 
 def test_a_solver_that_does_nothing_is_told_apart_from_a_target_out_of_reach():

@@ -86,7 +86,11 @@ class Certificate:
         }
         text = words.get(self.reason, str(self.reason))
         if self.bodies is not None:
-            text = f"{self.bodies[0]} and {self.bodies[1]} would come closer than allowed"
+            # The closest configuration knows nothing of bodies.
+            return (
+                f"{self.bodies[0]} and {self.bodies[1]} would come closer than allowed: "
+                f"{self.position_error * 1e3:.1f} mm, {self.rotation_error:.3f} rad are left"
+            )
         if self.closest is not None and self.reason not in (Reason.STEP, Reason.SMOOTHNESS):
             text += f": from here the arm comes no closer than {self.closest[0] * 1e3:.1f} mm, {self.closest[1]:.3f} rad"
         return text

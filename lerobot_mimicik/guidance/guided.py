@@ -51,6 +51,7 @@ _TURN_AWAY, _LEAST_TURNING = 0.93, 0.1  # what is left of its weight a frame oth
 _GUARD_HALVINGS = 12  # of the way from a start that is clear to a command that is not
 
 
+_AT_REST = 1e-3  # rad; a command that moves no joint further has come to rest
 _Why = tuple[Reason, tuple[str, ...], tuple[str, str] | None, tuple[float, float] | None]
 """Reason, joints and links in the way, errors of the closest configuration."""
 
@@ -323,6 +324,10 @@ class Guidance:
             if near:
                 number = pair if gap < self.settings.collision_margin + 1e-4 else model.gap(there)[1]
                 return Reason.COLLISION, (), model.pair_names(number), closest
+            step = float(np.abs(q - start).max())
+            if step < _AT_REST and gap < self.settings.collision_zone and self.settings.collision > 0:
+                # The arm has come to rest where its bodies push each other apart.
+                return Reason.COLLISION, (), model.pair_names(pair), closest
             if bound.any() or np.abs(there - start).max() > self.settings.max_step:
                 return Reason.STEP, tuple(np.array(joints)[bound]), None, closest
             return Reason.SMOOTHNESS, (), None, closest
