@@ -54,8 +54,9 @@ class FoldedGenerator(nn.Module):
         self.register_buffer("times_embedded", embedded[:, None])
 
     def encode(self, obs: Tensor) -> list[Tensor]:
-        """Modulations of the decoder's blocks and of the read-out, each (times, B, n), of observations (B, T_o, n)."""
-        condition = self.observe(obs.flatten(1)) + self.times_embedded
+        """Modulations of the decoder's blocks and of the read-out, each (times * B, n), of observations (B, T_o, n)."""
+        # Two axes throughout: exporters would reshape around every product of three.
+        condition = (self.observe(obs.flatten(1)) + self.times_embedded).flatten(0, 1)
         token, found = condition, []
         for encode, modulate in zip(self.encoder, self.modulate, strict=True):
             token = encode(token)
@@ -64,11 +65,12 @@ class FoldedGenerator(nn.Module):
 
     def forward(self, x: Tensor, s: float, t: float, modulations: list[Tensor]) -> Tensor:
         """f(x, s, t | o), shape (B, n_a), with the modulations of `encode`; KeyError for other times."""
-        row = self._rows[s, t]
+        first = self._rows[s, t] * len(x)
+        rows = slice(first, first + len(x))
         x = self.project(x)
         for decode, modulation in zip(self.decoder, modulations[:-1], strict=True):
-            x = decode(x, modulation[row])
-        shift, scale = modulations[-1][row].chunk(2, dim=-1)
+            x = decode(x, modulation[rows])
+        shift, scale = modulations[-1][rows].chunk(2, dim=-1)
         return self.final(torch.addcmul(shift, _norm(x), scale))
 
 
