@@ -8,7 +8,7 @@ from evaluation_cases import Scripted, airbot
 
 from lerobot_mimicik.cli import main as cli
 from lerobot_mimicik.cli.play import PlayConfig, make_session
-from lerobot_mimicik.kinematics.arms import describe_arm
+from lerobot_mimicik.kinematics.arms import SHIPPED_ARMS, describe_arm
 from lerobot_mimicik.solvers import make_solver
 from lerobot_mimicik.viewing.motions import Motion, generated_motions
 from lerobot_mimicik.viewing.session import DRAG, FAILED, JUMPED, REACHED, PlaySession
@@ -189,6 +189,17 @@ def test_the_command_names_what_does_not_fit(capsys, tmp_path):
         assert told in capsys.readouterr().err
     with pytest.raises(ValueError, match="--solvers: limit cannot be played here: there are guided"):
         make_session(PlayConfig(solvers="limit"))
+
+
+@pytest.mark.parametrize("name", SHIPPED_ARMS)
+def test_every_shipped_arm_is_played_by_its_name(name):
+    played = make_session(PlayConfig(arm=name, solvers="guided"))
+    played.move_target(moved(played.target, [0.0, 0.01, 0.01]))
+    for _ in range(10):
+        played.tick()
+    reading = played.players["guided"].reading
+    assert reading.status == REACHED
+    assert reading.position_mm < 0.1
 
 
 def test_a_checkpoint_and_its_recordings_join_the_session(mimicik_run):

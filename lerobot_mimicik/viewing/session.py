@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from lerobot_mimicik.evaluation.metrics import jerk_of
 from lerobot_mimicik.guidance.certificate import Reason, at_limits, is_singular, smallest_singular
 from lerobot_mimicik.guidance.model import ArmModel, arm_model
+from lerobot_mimicik.guidance.orientation import service
 from lerobot_mimicik.guidance.settings import GuidanceSettings
 from lerobot_mimicik.kinematics.arms import ArmDescription
 from lerobot_mimicik.kinematics.tremor import displaced, tremor
@@ -73,6 +74,8 @@ class Player:
 
     def __init__(self, solver: IKSolver, model: ArmModel, q: Array, fps: float) -> None:
         self.solver, self.model = solver, model
+        # An arm that cannot serve every orientation reaches a target with its position, as the adapter says.
+        self._turn_counts = not service(model, _TOLERANCES).position_first
         self.reset(q, fps)
 
     def reset(self, q: Array, fps: float) -> None:
@@ -128,7 +131,8 @@ class Player:
         step = float(np.abs(self.q - before).max())
         if step > MAX_STEP + 1e-9:
             return JUMPED
-        position, rotation = np.linalg.norm(left[:3]), np.linalg.norm(left[3:])
+        position = np.linalg.norm(left[:3])
+        rotation = np.linalg.norm(left[3:]) if self._turn_counts else 0.0
         if position <= _TOLERANCES.position_tolerance and rotation <= _TOLERANCES.rotation_tolerance:
             return REACHED
         if step >= _NEAR_BOUND * MAX_STEP:
