@@ -257,3 +257,17 @@ def test_source_that_is_no_checkpoint_is_named(hub, checkpoint, tmp_path):
     for source in (tmp_path, "user/does-not-exist"):
         with pytest.raises(FileNotFoundError, match="source"):
             policy.push_to_hub("user/refused", source=source)
+
+
+def test_foresight_is_published_and_steadies_an_adapter_of_the_hub(hub):
+    from lerobot_mimicik.configuration_foresight import ForesightConfig
+    from lerobot_mimicik.modeling_foresight import ForesightPolicy
+    from robot_adapters.adapter import IKStatus, MimicIKAdapter
+
+    policy = ForesightPolicy(ForesightConfig(urdf="airbot_play", hidden_dim=8, n_layers=1, device="cpu"))
+    policy.delta.fit(-torch.ones(6), torch.ones(6))
+    policy.push_to_hub("user/steady", picture=False)
+    assert "# MimicIK foresight for airbot_play" in card(hub, "user/steady").content
+    adapter = MimicIKAdapter.from_pretrained("user/steady")
+    q = torch.tensor([0.0, -1.2, 1.3, 1.6, -0.9, -1.6]).double().numpy()
+    assert adapter.solve(q, adapter.forward(q)).status == IKStatus.REACHED
