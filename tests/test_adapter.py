@@ -97,14 +97,14 @@ def test_a_target_out_of_reach_is_said_so_and_the_arm_stays_at_the_edge(name):
 
 def test_where_its_own_body_keeps_the_arm_off_a_target_the_bodies_are_named():
     adapter = MimicIKAdapter.for_arm("airbot_play")
-    q = np.array([1.64, -2.7, 0.5, -0.08, 0.08, 1.45])
-    target = adapter.forward([1.58, -2.97, 0.35, 0.41, 0.33, 1.07])
+    q = np.array([-0.14, -1.41, 0.13, -1.48, 1.22, -2.46])
+    target = adapter.forward([-0.42, -1.62, 0.06, -1.83, 1.55, -2.02])  # the gripper in the base
     for _ in range(60):
         result = adapter.solve(q, target)
         q = result.q
     assert result.step < 1e-3
     assert (result.status, result.certificate.reason) == (IKStatus.UNREACHABLE, Reason.COLLISION)
-    assert result.certificate.bodies == ("base_link", "link2")
+    assert result.certificate.bodies == ("base_link", "link6")
     assert f"{result.position_error * 1e3:.1f} mm" in result.message
 
 
