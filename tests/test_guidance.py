@@ -232,6 +232,23 @@ def test_a_prior_that_knows_the_motion_is_trusted_and_makes_it_more_exact():
     )
 
 
+def test_the_elbow_of_seven_joints_goes_where_a_prior_knows_it():
+    panda = arm_model(describe_arm("panda"))
+    home = np.array(panda.description.home)
+    t = np.linspace(0.0, 2.0, 80)[:, None]
+    joints = home + 0.3 * np.sin(t) * np.array([1.0, -0.5, -1.2, 0.3, 0.8, 0.2, 0.5])
+    found = {}
+    for name in ("alone", "known"):
+        solver, q = Guidance(panda), joints[0]
+        solver.reset(q)
+        for i in range(1, len(joints)):
+            prior = (lambda q, target, i=i: joints[i]) if name == "known" else None
+            q = solver.solve(q, panda.pose(joints[i]), None, prior).q
+        found[name] = np.abs(q - joints[-1]).max()
+        assert pose_distance(panda.pose(q), panda.pose(joints[-1]))[0] < 1e-3
+    assert found["known"] < 0.25 * found["alone"]
+
+
 def test_a_term_of_the_users_own_is_weighed_with_the_rest():
     def first_joint_stays(joints):
         residual = 3.0 * (joints[:, 0] - HOME[0])

@@ -144,8 +144,8 @@ class GuidanceSettings:
     blend: int = 8
     posture: float = 1e-5
     prior: float = 1e-3
-    foresight_radius: float = 0.0015
-    foresight_angle: float = 0.014
+    foresight_radius: float = 0.0012
+    foresight_angle: float = 0.011
     foresight_gain: float = 2.0
     collision: float = 1e-3
     collision_margin: float = 0.005

@@ -32,7 +32,7 @@ class ForesightSolver(GuidedSolver):
 
     name = "foresight"
     configuration = (
-        "This project's guidance; a network of this project moves a trembling target by at most 1.5 mm and 0.8 degrees "
+        "This project's guidance; a network of this project moves a trembling target by at most 1.2 mm and 0.6 degrees "
         "towards where it foresees the hand; what MimicIKAdapter.from_pretrained('airbot_play') runs"
     )
 
