@@ -12,8 +12,11 @@ _log = logging.getLogger(__name__)
 
 
 def is_compiled(cache: str | Path | None = None) -> bool:
-    """Whether the core is in numba's cache of this machine, or in the folder `cache`."""
-    return any(Path(cache or str(descend.stats.cache_path)).glob("descent.descend-*.nbi"))
+    """Whether the core is in numba's cache of this machine, or in the folder `cache`; where nothing is compiled, it is."""
+    compiled = getattr(descend, "stats", None)
+    if compiled is None:  # NUMBA_DISABLE_JIT
+        return True
+    return any(Path(cache or str(compiled.cache_path)).glob("descent.descend-*.nbi"))
 
 
 @functools.cache
