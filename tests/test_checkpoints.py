@@ -111,8 +111,9 @@ DAMAGE = {
 
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_checkpoint_is_told_in_a_line_and_found_by_the_doctor(
-    checkpoint, damage, capsys, monkeypatch
+    checkpoint, damage, capsys, monkeypatch, tmp_path
 ):
+    monkeypatch.chdir(tmp_path)  # deploy claims its output there
     monkeypatch.delenv("MIMICIK_TRACEBACK", raising=False)
     inflict, reason = DAMAGE[damage]
     inflict(checkpoint)
