@@ -77,4 +77,5 @@ def test_an_adapters_acknowledgements_hide_no_frame(buses, ports):
 
 def test_an_arm_at_the_other_end_of_a_serial_line():
     with joined_ports() as (arm, driver), arm_process("slcan", arm):
-        follow_for_a_while("slcan", driver)
+        statistics = follow_for_a_while("slcan", driver)
+    assert statistics.frames_unknown == 0

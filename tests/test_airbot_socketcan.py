@@ -39,4 +39,5 @@ def test_the_controllers_report_of_a_bus_off_is_seen():
 
 def test_an_arm_at_the_other_end_of_the_bus():
     with arm_process("socketcan", DEVICE):
-        follow_for_a_while("socketcan", DEVICE)
+        statistics = follow_for_a_while("socketcan", DEVICE)
+    assert statistics.frames_unknown == 0
