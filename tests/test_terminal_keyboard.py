@@ -3,6 +3,7 @@
 import _thread
 import importlib
 import os
+import signal
 import sys
 import termios
 import threading
@@ -72,6 +73,15 @@ def test_without_a_terminal_it_says_so(tmp_path, monkeypatch):
         TerminalKeyboardConfig(frames_per_press=0)
 
 
+@pytest.fixture
+def interruptible():
+    """Ctrl-C interrupts, also where this process was started in the background and has ignored it since."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_it_leads_an_so101_through_lerobots_command(terminal, monkeypatch):
     monkeypatch.syspath_prepend(EXAMPLES)
     example = importlib.import_module("replay_recordings")
